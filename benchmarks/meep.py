@@ -104,7 +104,7 @@ def _savings() -> Iterator[dict[str, Any]]:
     reference = complex(rcwa.solve(CELL, CellNumerics(1e-4)).t[0, 0])
     grids = family(CELL)
     member = next(m for m in range(1, 9) if 2 * m * grids.period[0] >= 0.1 * CELL.period_nm[0])
-    run = plan(CELL, "x", grids, member, decay=1e-3, longest_time=800.0)
+    run = plan(CELL, grids, "x", member, decay=1e-3, longest_time=800.0)
     before = _children_s()
     with Pool(1) as pool:
         reply = pool.run(run.job)

@@ -17,6 +17,7 @@ ROOMS = (
     "cell",
     "certificates",
     "meep",
+    "focus",
     "library",
     "phase",
     "layout",

@@ -143,18 +143,21 @@ def _component(mp: Any, polarisation: str) -> Any:
     return mp.Ex if polarisation == "x" else mp.Ey
 
 
+def _solid(mp: Any, job: Json, block: Json) -> Any:
+    """A box, or the prism of its outline."""
+    low, high = np.array(block["low"]), np.array(block["high"])
+    material = _medium(mp, job, block["epsilon"], block["mu"])
+    if not block["outline"]:
+        return mp.Block(center=mp.Vector3(*((low + high) / 2.0)), size=mp.Vector3(*(high - low)), material=material)
+    vertices = [mp.Vector3(x, y, low[2]) for x, y in block["outline"]]
+    return mp.Prism(vertices, height=float(high[2] - low[2]), axis=mp.Vector3(z=1.0), material=material)
+
+
 def _simulation(mp: Any, job: Json) -> Any:
     pixel, frequency = job["pixel_um"], 1.0 / job["wavelength_um"]
     width, length = job["n_x"] * pixel, job["n_y"] * pixel
     x_polarised = job["polarisation"] == "x"
-    geometry = [
-        mp.Block(
-            center=mp.Vector3(*(np.add(block["low"], block["high"]) / 2.0)),
-            size=mp.Vector3(*np.subtract(block["high"], block["low"])),
-            material=_medium(mp, job, block["epsilon"], block["mu"]),
-        )
-        for block in job["blocks"]
-    ]
+    geometry = [_solid(mp, job, block) for block in job["blocks"]]
     mirrors = []
     for name in job["mirrors"]:
         # The source is a polar vector: odd under the mirror across its own axis.

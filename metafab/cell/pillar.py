@@ -44,24 +44,22 @@ class PillarCell:
     #: Polar angle of incidence inside the incident half space, 0 to < 90; in a birefringent one, of the ordinary wave.
     angle_deg: float = 0.0
     azimuth_deg: float = 0.0  #: Azimuth of the plane of incidence, counter-clockwise from +x.
-    #: Layers between substrate and pillar, from the substrate upwards; rcwa only. The reference planes of t and r are
-    #: then the two ends of the whole stack.
+    #: Layers between substrate and pillar, from the substrate upwards. The reference planes of t and r are then the two
+    #: ends of the whole stack.
     under: tuple[Slice, ...] = ()
-    over: tuple[Slice, ...] = ()  #: Layers on the pillar, from the pillar upwards; rcwa only.
+    over: tuple[Slice, ...] = ()  #: Layers on the pillar, from the pillar upwards.
     #: Index of a birefringent substrate along z, for principal axes x, y and z; its waves are then solved as those of a
     #: tensor. Without it each polarisation has its own index, with light along z only.
     n_substrate_z: complex | None = None
-    #: Angle between wall and substrate, inside the pillar: below 90 the pillar narrows upwards, above 90 downwards;
-    #: rcwa only.
+    #: Angle between wall and substrate, inside the pillar: below 90 the pillar narrows upwards, above 90 downwards.
     sidewall_angle_deg: float = 90.0
     sizes_at: SizesAt = "middle"  #: Height at which the pillar has the stated width and length.
     #: Whether every other row of pillars is shifted by half a period (a hexagonal lattice); the period along y is then
     #: the distance of rows. rcwa only, with upright pillars, no layers, and light along z.
     is_staggered: bool = False
-    #: Cross-section within width and length: a rectangle, an ellipse (a circle where both are equal), or a cross; all
-    #: but the rectangle rcwa only.
+    #: Cross-section within width and length: a rectangle, an ellipse (a circle where both are equal), or a cross.
     shape: Shape = "rectangle"
-    corner_radius_nm: float = 0.0  #: Radius of the rectangle's four vertical edges, at most half a side; rcwa only.
+    corner_radius_nm: float = 0.0  #: Radius of the rectangle's four vertical edges, at most half a side.
 
     @property
     def is_shaped(self) -> bool:

@@ -4,7 +4,8 @@
 - ``protocol``        jobs, and one worker process that runs them
 - ``pool``            long-lived workers, and finished runs on disk
 - ``stretched_axes``  stretched axes with every wall on nodes of the grid
-- ``grid``            cell -> job on such axes; recorded fields -> t and r
+- ``grid``            cell -> job on such axes or on plain ones; recorded fields -> t and r
+- ``shaped``          curved outlines, crosses, sloped walls, films and caps on plain axes
 - ``extrapolation``   limit of vanishing pixels, and its error
 - ``solver``          one cell: PillarCell in, CellResponse out
 - ``supercell``       unlike pillars in one period: Supercell in, SupercellResponse out

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -43,6 +43,27 @@ def richardson(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Ext
     step = float(np.max(np.abs(last - _limit(h[-3:-1], v[-3:-1]))))
     coarse, fine = (abs(_limit(pair, pair[:, None] ** _SLOWEST_POWER)[0]) for pair in (h[-3:-1], h[-2:]))
     return Extrapolated(_limit(h[-3:], v[-3:]), step * fine / (coarse - fine), _gain(h[-3:]))
+
+
+def smoothed_limit(pixel_um: Sequence[float], values: Sequence[ComplexArray]) -> Extrapolated:
+    """Limit of v(h) = v + c h^2 from two plain grids or more, coarse to fine, whose walls cross pixels anywhere.
+
+    The error of such a grid deviates irregularly from c h^2, by 22 % for a circle on 36 pixels a period. The limit is
+    that of weighted least squares with deviations in proportion to h^2. Its error is the largest difference from the
+    limit of any two grids, and at least the correction of the finest; of two grids one and a half times that. The values
+    of each grid have the shape (n_values,); errors are raised as by :func:`richardson`.
+    """
+    if len(pixel_um) < 2 or len(pixel_um) != len(values):
+        raise ValueError(f"`pixel_um`: expected two or more, as many as `values`, got {len(pixel_um)}")
+    h, v = np.asarray(pixel_um, dtype=np.float64), np.asarray(values, dtype=np.complex128)
+    columns = np.stack([h**-2, np.ones_like(h)], axis=-1)
+    weights = np.linalg.pinv(columns)[0] / h**2
+    value = weights @ v
+    pairs = [_limit(h[[i, j]], v[[i, j]]) for i, j in combinations(range(len(h)), 2)]
+    spread = max(float(np.max(np.abs(pair - value))) for pair in pairs)
+    correction = float(np.max(np.abs(value - v[-1])))
+    error = 1.5 * correction if len(h) == 2 else max(spread, correction)
+    return Extrapolated(value, error, float(np.sum(np.abs(weights))))
 
 
 def _limit(h: FloatArray, v: FloatArray | ComplexArray) -> ComplexArray:

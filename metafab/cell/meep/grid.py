@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
 from numpy.typing import NDArray
 
-from metafab.cell.meep.protocol import Job
+from metafab.cell.meep.protocol import Block, Job
 from metafab.cell.meep.stretched_axes import Axis, lateral_axis, stretched_blocks
 from metafab.cell.pillar import PillarCell
 from metafab.core.conventions import POLARISATIONS, Polarisation
@@ -24,6 +25,9 @@ PLANE_NODES = 3
 _HALF_PERIODS = range(5, 10)
 #: Time step as a fraction of the Courant limit.
 _STABILITY = 0.95
+#: Time step over pixel on plain grids, where the structure begins a quarter of a pixel from the nodes: no point of a
+#: pixel lies there.
+COURANT, _OFFSET = 0.5, 0.25
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,8 @@ def _split(size: float, period: float, count: int) -> int:
 
 def plan(
     cell: PillarCell,
-    polarisation: Polarisation,
     grids: Family,
+    polarisation: Polarisation,
     member: int,
     *,
     decay: float,
@@ -125,8 +129,8 @@ def plan(
     """FDTD run of one polarisation; light from either half space travels along +z, and the pillar begins at z = 0.
 
     Args:
-        polarisation: of the incident wave.
         grids: grids from :func:`family`.
+        polarisation: of the incident wave.
         member: resolution, in multiples of the coarsest.
         decay: see :class:`Job`.
         longest_time: see :class:`Job`.
@@ -173,6 +177,72 @@ def plan(
     )
     k_in, k_out = (grid_wavenumber(n[axis].real, wavelength, pixel, courant) for n in (cell.n_in, cell.n_out))
     return Plan(job, (near - begin) * pixel, (far - end) * pixel, k_in, (k_out,))
+
+
+def smoothed_plan(
+    cell: PillarCell,
+    polarisation: Polarisation,
+    pixels: tuple[int, int],
+    pixel_um: float,
+    height_um: float,
+    blocks: Callable[[float, float], tuple[Block, ...]],
+    *,
+    components: tuple[Polarisation, ...],
+    orders: tuple[tuple[int, int], ...] = ((0, 0),),
+    across: Sequence[tuple[float, float]] = ((0.0, 0.0),),
+    mirrors: tuple[Polarisation, ...] = POLARISATIONS,
+    decay: float,
+    longest_time: float,
+) -> Plan:
+    """FDTD run of one polarisation on a plain grid, where Meep averages the pixels that a wall crosses.
+
+    Args:
+        cell: half spaces, wavelength and side of incidence.
+        polarisation: of the incident wave.
+        pixels: pixels of the period along x and y.
+        pixel_um: grid spacing.
+        height_um: height of the structure.
+        blocks: the structure, given the z at which it begins and one outside of the cell.
+        components: recorded components of E.
+        orders: recorded orders.
+        across: wave numbers of the orders along x and y, rad/um.
+        mirrors: axes along which the structure equals its mirror image.
+        decay: see :class:`Job`.
+        longest_time: see :class:`Job`.
+    """
+    wavelength = cell.wavelength_nm * 1e-3
+    absorber, clearance = (math.ceil(part * wavelength / pixel_um) for part in (ABSORBER, CLEARANCE))
+    near = absorber + 2 * PLANE_NODES
+    begin = near + clearance + _OFFSET
+    far = math.ceil(begin + height_um / pixel_um) + clearance
+    n_z = far + PLANE_NODES + absorber
+    n_z += n_z % 2
+    axis = POLARISATIONS.index(polarisation)
+    job = Job(
+        pixel_um=pixel_um,
+        n_x=pixels[0],
+        n_y=pixels[1],
+        n_z=n_z,
+        absorber_nodes=absorber,
+        source_node=absorber + PLANE_NODES,
+        monitor_nodes=(near, far),
+        wavelength_um=wavelength,
+        polarisation=polarisation,
+        components=components,
+        orders=orders,
+        weight=(1.0,) * pixels[1 - axis],
+        epsilon_in=permittivity(cell.n_in),
+        blocks=blocks((begin - n_z / 2) * pixel_um, n_z * pixel_um),
+        smooth=True,
+        mirrors=mirrors,
+        decay=decay,
+        longest_time=longest_time,
+        courant=COURANT,
+    )
+    n_in, n_out = cell.n_in[axis].real, cell.n_out[axis].real
+    k_in = grid_wavenumber(n_in, wavelength, pixel_um, COURANT)
+    k_out = tuple(grid_wavenumber(n_out, wavelength, pixel_um, COURANT, each) for each in across)
+    return Plan(job, (near - begin) * pixel_um, (far - begin) * pixel_um - height_um, k_in, k_out)
 
 
 def _courant(cell: PillarCell, axes: tuple[Axis, Axis, Axis]) -> float:

@@ -37,12 +37,15 @@ _LOADING = threading.Lock()
 
 @dataclass(frozen=True)
 class Block:
-    """A box of one material; later boxes replace earlier ones where they overlap."""
+    """A box or an upright prism of one material; later ones replace earlier ones where they overlap."""
 
     low: tuple[float, float, float]  #: (x, y, z) in um from the middle of the cell.
     high: tuple[float, float, float]  #: The opposite corner.
     epsilon: tuple[complex, complex, complex]  #: Permittivity along x, y and z.
     mu: tuple[float, float, float] = (1.0, 1.0, 1.0)  #: Permeability along x, y and z.
+    outline: tuple[
+        tuple[float, float], ...
+    ] = ()  #: (x, y) of the vertices of a prism within the box, um; none for a box.
 
 
 @dataclass(frozen=True)

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from metafab.cell.meep.extrapolation import richardson
+from metafab.cell.meep.extrapolation import richardson, smoothed_limit
 from metafab.cell.meep.grid import family, plan
 from metafab.cell.meep.pool import Pool, own_pool
+from metafab.cell.meep.shaped import is_shaped, shaped_plan
 from metafab.cell.pillar import PillarCell
+from metafab.cell.rcwa.symmetry import polarisations_swap
 from metafab.cell.response import CellNumerics, CellResponse, SolverDetails
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
 from metafab.core.errors import Fault, InputError
@@ -22,8 +25,8 @@ from metafab.core.errors import Fault, InputError
 class MeepSettings:
     """Numerics of FDTD; InputError for fewer than two members, or members that do not ascend from 1."""
 
-    #: Grids of the cell's family, coarse to fine, at least two. Member j has 10 j to 18 j pixels a period. From the
-    #: third on, finer ones are skipped once the target error is reached.
+    #: Grids of the cell's family, coarse to fine, at least two. Member j has 10 j to 18 j pixels a period, of shaped
+    #: cells 12 j or more. From the third on, finer ones are skipped once the target error is reached.
     members: tuple[int, ...] = (1, 2, 3, 4)
     #: A run ends when its extrapolated orders change by at most this, relative to the incident wave.
     decay: float = 1e-4
@@ -65,19 +68,18 @@ def solve(
     refuse_untreated(cell)
     start = time.perf_counter()
     workers = own_pool() if pool is None else pool
-    # A cell that exchanging x and y leaves unchanged has equal amplitudes for both polarisations.
-    square = cell.period_nm[0] == cell.period_nm[1] and cell.width_nm == cell.length_nm
-    same = square and cell.n_substrate[0] == cell.n_substrate[1]
-    polarisations: tuple[Polarisation, ...] = ("x",) if same else POLARISATIONS
-    grids, wavelength_um = family(cell), cell.wavelength_nm * 1e-3
-    longest_time = settings.longest_periods * wavelength_um
+    polarisations: tuple[Polarisation, ...] = ("x",) if polarisations_swap(cell) else POLARISATIONS
+    wavelength_um = cell.wavelength_nm * 1e-3
+    limits = {"decay": settings.decay, "longest_time": settings.longest_periods * wavelength_um}
+    plan_of = partial(shaped_plan, cell, **limits) if is_shaped(cell) else partial(plan, cell, family(cell), **limits)
+    limit_of = smoothed_limit if is_shaped(cell) else richardson
     pixels: list[float] = []
     values: list[ComplexArray] = []
     tail = simulated = spent = 0.0
     for member in settings.members:
         amplitudes = []
         for polarisation in polarisations:
-            run = plan(cell, polarisation, grids, member, decay=settings.decay, longest_time=longest_time)
+            run = plan_of(polarisation, member)
             reply = workers.run_to_decay(run.job)
             amplitudes.append(run.amplitudes(reply["limit"][:, 0, 0], reply["incident"]))
             tail = max(tail, float(reply["tail"]))
@@ -87,7 +89,7 @@ def solve(
         values.append(np.array(amplitudes).T.ravel())
         if len(pixels) == 1:
             continue
-        best = richardson(pixels, values)
+        best = limit_of(pixels, values)
         error = float(best.error + best.gain * tail)
         if len(pixels) > 2 and error <= numerics.target_error:
             break
@@ -115,7 +117,8 @@ def solve(
 
 def refuse_untreated(cell: PillarCell) -> None:
     """Refuse a cell that FDTD does not treat here, before any worker starts; InputError with every reason."""
-    faults = cell.untreated("the solver meep", treated=("angle_deg",), remedy="solve with rcwa")
+    treated = ("angle_deg", "under, over", "sidewall_angle_deg", "shape, corner_radius_nm")
+    faults = cell.untreated("the solver meep", treated=treated, remedy="solve with rcwa")
     if cell.angle_deg != 0.0:
         remedy = "a pulse of fixed wave vector has another angle at every frequency; use rcwa"
         faults.append(Fault("angle_deg", "0 for the solver meep", f"{cell.angle_deg:g}", remedy))
@@ -124,8 +127,12 @@ def refuse_untreated(cell: PillarCell) -> None:
             if n.imag != 0.0:
                 expected = "a lossless half space for the solver meep"
                 faults.append(Fault(name, expected, f"{n}", "drop its k, or use rcwa"))
-    if (complex(cell.n_pillar) ** 2).real <= 0.0:
-        faults.append(Fault("n_pillar", "a dielectric for the solver meep", f"{cell.n_pillar}", "for a metal use rcwa"))
+    named = {"n_pillar": cell.n_pillar}
+    for side, layers in (("under", cell.under), ("over", cell.over)):
+        named |= {f"{side}[{number}].n": layer.n_inside for number, layer in enumerate(layers)}
+    for name, n in named.items():
+        if (complex(n) ** 2).real <= 0.0:
+            faults.append(Fault(name, "a dielectric for the solver meep", f"{n}", "for a metal use rcwa"))
     if not math.isfinite(cell.height_nm) or cell.height_nm <= 0.0:
         faults.append(Fault("height_nm", "a positive height", f"{cell.height_nm:g}"))
     if faults:

@@ -8,7 +8,6 @@ the coupling between neighbours.
 from __future__ import annotations
 
 import cmath
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,9 +16,9 @@ from itertools import pairwise
 import numpy as np
 
 from metafab.cell.meep.extrapolation import richardson
-from metafab.cell.meep.grid import ABSORBER, CLEARANCE, PLANE_NODES, Plan, grid_wavenumber, permittivity
+from metafab.cell.meep.grid import COURANT, Plan, permittivity, smoothed_plan
 from metafab.cell.meep.pool import Pool, own_pool
-from metafab.cell.meep.protocol import Block, Job
+from metafab.cell.meep.protocol import Block
 from metafab.cell.meep.solver import refuse_untreated
 from metafab.cell.pillar import PillarCell
 from metafab.cell.supercell import IntArray, Supercell, SupercellOrders, SupercellResponse, relative_rms
@@ -27,9 +26,6 @@ from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
 
-#: Distance of z = 0 from the nodes, in pixels: no point of a pixel lies there.
-_OFFSET = 0.25
-_COURANT = 0.5
 #: Measured with Meep 1.25 on one core: pixel updates per second (4e7 on small cells), and bytes per pixel.
 _UPDATES_PER_S = 3e7
 _BYTES_PER_PIXEL = 200.0
@@ -65,7 +61,7 @@ def estimate(supercell: Supercell, settings: SupercellSettings = SupercellSettin
     whole = plan(supercell, "x", settings).job
     alone = [plan(_lone(cell), "x", settings).job for cell in supercell.periodic_cells().values()]
     pixels = [job.n_x * job.n_y * job.n_z / 2 ** len(job.mirrors) for job in (whole, *alone)]
-    steps = _USUAL_PERIODS * whole.wavelength_um / (_COURANT * whole.pixel_um)
+    steps = _USUAL_PERIODS * whole.wavelength_um / (COURANT * whole.pixel_um)
     return Cost(round(pixels[0]), sum(pixels) * steps / _UPDATES_PER_S, pixels[0] * _BYTES_PER_PIXEL)
 
 
@@ -194,43 +190,20 @@ def plan(
         raise InputError.single("meep", "pixels_per_period", expected, f"{per_x}")
     order = np.zeros((1, 2), dtype=np.intp) if order is None else order
     pixel = cell.period_nm[0] * 1e-3 / per_x
-    wavelength, height = cell.wavelength_nm * 1e-3, cell.height_nm * 1e-3
-    absorber, clearance = (math.ceil(part * wavelength / pixel) for part in (ABSORBER, CLEARANCE))
-    near = absorber + 2 * PLANE_NODES
-    begin = near + clearance + _OFFSET
-    far = math.ceil(begin + height / pixel) + clearance
-    n_z = far + PLANE_NODES + absorber
-    n_z += n_z % 2
-    n_y, n_x = supercell.shape[0] * round(per_y), supercell.shape[1] * per_x
-    axis = POLARISATIONS.index(polarisation)
-    job = Job(
-        pixel_um=pixel,
-        n_x=n_x,
-        n_y=n_y,
-        n_z=n_z,
-        absorber_nodes=absorber,
-        source_node=absorber + PLANE_NODES,
-        monitor_nodes=(near, far),
-        wavelength_um=wavelength,
-        polarisation=polarisation,
+    return smoothed_plan(
+        cell,
+        polarisation,
+        (supercell.shape[1] * per_x, supercell.shape[0] * round(per_y)),
+        pixel,
+        cell.height_nm * 1e-3,
+        lambda start, beyond: _blocks(supercell, start, beyond),
         components=POLARISATIONS,
         orders=tuple((int(m), int(n)) for m, n in order),
-        weight=(1.0,) * (n_y if polarisation == "x" else n_x),
-        epsilon_in=permittivity(cell.n_in),
-        blocks=_blocks(supercell, pixel, n_z, begin),
-        smooth=True,
+        across=[(float(x), float(y)) for x, y in supercell.wavevectors_per_um(order)],
         mirrors=_mirrors(supercell),
         decay=settings.decay,
-        longest_time=settings.longest_periods * wavelength,
-        courant=_COURANT,
+        longest_time=settings.longest_periods * cell.wavelength_nm * 1e-3,
     )
-    n_in, n_out = cell.n_in[axis].real, cell.n_out[axis].real
-    k_in = grid_wavenumber(n_in, wavelength, pixel, _COURANT)
-    k_out = tuple(
-        grid_wavenumber(n_out, wavelength, pixel, _COURANT, (float(x), float(y)))
-        for x, y in supercell.wavevectors_per_um(order)
-    )
-    return Plan(job, (near - begin) * pixel, (far - begin) * pixel - height, k_in, k_out)
 
 
 def _mirrors(supercell: Supercell) -> tuple[Polarisation, ...]:
@@ -240,15 +213,15 @@ def _mirrors(supercell: Supercell) -> tuple[Polarisation, ...]:
     return tuple(name for name, other in zip(POLARISATIONS, flipped, strict=True) if np.array_equal(sizes, other))
 
 
-def _blocks(supercell: Supercell, pixel: float, n_z: int, begin: float) -> tuple[Block, ...]:
-    """Half spaces and pillars.
+def _blocks(supercell: Supercell, start: float, beyond: float) -> tuple[Block, ...]:
+    """Half spaces and pillars, which begin at z = ``start``; ``beyond`` lies outside of the cell.
 
     Pillars continue into the substrate, which then covers their feet: at the rims Meep's smoothing then meets two
     materials and one plane, not three materials.
     """
     cell = supercell.cell
-    start, height = (begin - n_z / 2) * pixel, cell.height_nm * 1e-3
-    end, beyond = start + height, n_z * pixel
+    height = cell.height_nm * 1e-3
+    end = start + height
     wide, deep = supercell.period_um
 
     def slab(low: float, high: float, n: tuple[complex, complex]) -> Block:

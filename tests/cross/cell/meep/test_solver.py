@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 from metafab.cell import CellNumerics, CellResponse, rcwa
+from metafab.cell import solve as cell_solve
 from metafab.cell.meep import MeepSettings, Pool, solve
 from metafab.cell.meep.grid import family, plan
+from metafab.cell.pillar import Slice
 from tests.paper_cell import EMPTY
 
 pytestmark = pytest.mark.meep
@@ -56,7 +58,7 @@ def test_moving_the_monitors_changes_nothing(pool: Pool) -> None:
     cell = replace(EMPTY, width_nm=150.0, length_nm=200.0)
     found = []
     for shift in (0, 3, 7):
-        run = plan(cell, "x", family(cell), 1, decay=1e-6, longest_time=800.0, shift_nodes=shift)
+        run = plan(cell, family(cell), "x", 1, decay=1e-6, longest_time=800.0, shift_nodes=shift)
         reply = pool.run(run.job)
         found.append(run.amplitudes(reply["limit"][:, 0, 0], reply["incident"]))
     assert np.max(np.abs(np.array(found) - found[0])) < 5e-4
@@ -64,7 +66,7 @@ def test_moving_the_monitors_changes_nothing(pool: Pool) -> None:
 
 def test_mirrors_save_time_and_change_nothing(pool: Pool) -> None:
     cell = replace(EMPTY, width_nm=150.0, length_nm=200.0)
-    run = plan(cell, "y", family(cell), 1, decay=1e-5, longest_time=200.0)
+    run = plan(cell, family(cell), "y", 1, decay=1e-5, longest_time=200.0)
     quarter, whole = pool.run(run.job), pool.run(replace(run.job, mirrors=()))
     np.testing.assert_allclose(quarter["limit"], whole["limit"], atol=1e-9 * np.abs(whole["limit"]).max())
 
@@ -84,3 +86,19 @@ def test_pillars_agree_with_rcwa(pool: Pool) -> None:
         assert _difference(found, reference) <= found.error + reference.error
         assert found.error < (0.2 if found.cell.width_nm == 150.0 else 0.05)
         assert found.details.error_decay < 1e-3
+
+
+@pytest.mark.slow
+def test_curved_sloped_and_layered_cells_agree_with_the_other_solvers(pool: Pool) -> None:
+    """Low pillars, so that coarse grids do: a circle by spectral elements, a sloped cell with film and cap by RCWA."""
+    low = replace(EMPTY, height_nm=200.0, n_pillar=2.4 + 0j)
+    circle = replace(low, shape="ellipse", width_nm=220.0, length_nm=180.0)
+    layers = {"under": (Slice(60.0, 1.9 + 0j, 1.9 + 0j),), "over": (Slice(50.0, 1.5 + 0j, 1.0 + 0j),)}
+    sloped = replace(low, width_nm=200.0, length_nm=200.0, sidewall_angle_deg=80.0, side="ambient", **layers)
+    for cell in (circle, sloped):
+        found, reference = solve(cell, MEEP, MeepSettings((1, 2)), pool), cell_solve(cell)
+        assert _difference(found, reference) <= found.error + reference.error
+        assert found.error < 0.02
+        # A square pillar of that size without slope or layers is another cell.
+        other = cell_solve(replace(low, width_nm=200.0, length_nm=200.0, side=cell.side))
+        assert _difference(found, other) > 3.0 * found.error

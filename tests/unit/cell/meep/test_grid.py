@@ -24,7 +24,7 @@ from tests.paper_cell import SILICON
 )
 def test_walls_lie_on_nodes_and_every_length_is_kept(width: float, length: float, height: float, member: int) -> None:
     cell = replace(SILICON, period_nm=(350.0, 410.0), width_nm=width, length_nm=length, height_nm=height)
-    run = plan(cell, "x", family(cell), member, decay=1e-3, longest_time=1.0)
+    run = plan(cell, family(cell), "x", member, decay=1e-3, longest_time=1.0)
     job = run.job
     assert job.n_x % 2 == job.n_y % 2 == job.n_z % 2 == 0
     grids = family(cell)
@@ -52,7 +52,7 @@ def test_the_papers_pillars_need_little_stretching() -> None:
 
 def test_members_of_a_family_differ_by_a_factor_only() -> None:
     cell = SILICON
-    runs = [plan(cell, "y", family(cell), member, decay=1e-3, longest_time=1.0).job for member in (1, 2, 3)]
+    runs = [plan(cell, family(cell), "y", member, decay=1e-3, longest_time=1.0).job for member in (1, 2, 3)]
     for fine, factor in zip(runs[1:], (2, 3), strict=True):
         assert fine.n_x == factor * runs[0].n_x
         assert fine.pixel_um == pytest.approx(runs[0].pixel_um / factor)
@@ -71,7 +71,7 @@ def test_deembedding_undoes_the_way_to_the_monitors() -> None:
     """Synthetic grid waves around a pillar of known t and r, for monitors anywhere."""
     t, r = 0.3 - 0.8j, -0.2 + 0.1j
     for shift in (0, 5):
-        run = plan(SILICON, "x", family(SILICON), 2, decay=1e-3, longest_time=1.0, shift_nodes=shift)
+        run = plan(SILICON, family(SILICON), "x", 2, decay=1e-3, longest_time=1.0, shift_nodes=shift)
         job = run.job
         k_in = grid_wavenumber(1.7601, job.wavelength_um, job.pixel_um, job.courant)
         k_out = grid_wavenumber(1.0, job.wavelength_um, job.pixel_um, job.courant)

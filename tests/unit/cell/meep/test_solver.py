@@ -31,7 +31,7 @@ class _KnownAnswers(Pool):
         self.jobs.append(job)
         grids = family(self.cell)
         member = job.n_x // (2 * grids.period[0])
-        run = plan(self.cell, job.polarisation, grids, member, decay=1.0, longest_time=1.0)
+        run = plan(self.cell, grids, job.polarisation, member, decay=1.0, longest_time=1.0)
         k_in, (k_out,) = run.k_in, run.k_out
         t, r = (value[job.polarisation] + 40.0 * job.pixel_um**2 for value in (self.T, self.R))
         near, far = cmath.exp(1j * k_in * run.near_um), cmath.exp(1j * k_out * run.far_um)
