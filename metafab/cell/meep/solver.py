@@ -70,8 +70,9 @@ def solve(
     workers = own_pool() if pool is None else pool
     polarisations: tuple[Polarisation, ...] = ("x",) if polarisations_swap(cell) else POLARISATIONS
     wavelength_um = cell.wavelength_nm * 1e-3
-    limits = {"decay": settings.decay, "longest_time": settings.longest_periods * wavelength_um}
-    plan_of = partial(shaped_plan, cell, **limits) if is_shaped(cell) else partial(plan, cell, family(cell), **limits)
+    longest_time = settings.longest_periods * wavelength_um
+    on_grid = shaped_plan if is_shaped(cell) else partial(plan, grids=family(cell))
+    plan_of = partial(on_grid, cell, decay=settings.decay, longest_time=longest_time)
     limit_of = smoothed_limit if is_shaped(cell) else richardson
     pixels: list[float] = []
     values: list[ComplexArray] = []
@@ -79,7 +80,7 @@ def solve(
     for member in settings.members:
         amplitudes = []
         for polarisation in polarisations:
-            run = plan_of(polarisation, member)
+            run = plan_of(polarisation=polarisation, member=member)
             reply = workers.run_to_decay(run.job)
             amplitudes.append(run.amplitudes(reply["limit"][:, 0, 0], reply["incident"]))
             tail = max(tail, float(reply["tail"]))
