@@ -55,11 +55,7 @@ class Diagnosis:
 
 
 def examine(*, rehearse: bool = False, progress: Progress = silent) -> Diagnosis:
-    """Examine the machine.
-
-    Args:
-        rehearse: also run all steps on a small lens, which compiles the kernels that a first run would compile.
-    """
+    """Examine the machine; ``rehearse`` also runs all steps on a small lens, which compiles the first run's kernels."""
     from metafab.cell import meep
     from metafab.cell.meep.pool import own_folder
 

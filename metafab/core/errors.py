@@ -37,12 +37,7 @@ class MetafabError(Exception):
 
 
 class InputError(MetafabError):
-    """An unusable file, option or argument.
-
-    Args:
-        source: the file or command-line option at fault.
-        faults: all of its faults.
-    """
+    """An unusable file, option or argument (``source``), with all of its faults."""
 
     exit_code = 2
 
@@ -66,12 +61,7 @@ class SolverError(MetafabError):
 
 
 class WorkerLostError(MetafabError):
-    """Worker processes died again and again on one piece of work.
-
-    Args:
-        piece: the piece, function and arguments.
-        losses: number of workers that it cost.
-    """
+    """Worker processes, ``losses`` of them, died again and again on one piece of work, function and arguments."""
 
     def __init__(self, piece: str, losses: int) -> None:
         self.piece, self.losses = piece, losses
@@ -86,11 +76,7 @@ class WorkerLostError(MetafabError):
 
 
 class ClusterLostError(MetafabError):
-    """The Dask scheduler went away during the work.
-
-    Args:
-        address: address of the scheduler.
-    """
+    """The Dask scheduler at ``address`` went away during the work."""
 
     def __init__(self, address: str) -> None:
         self.address = address

@@ -39,13 +39,8 @@ class MadePillars:
 def made_pillars(wanted: PillarMap, exposed: Exposure, etch: Etch) -> MadePillars:
     """Return the pillars that an exposure and an etch leave.
 
-    Args:
-        wanted: pillars of the mask before correction; the bias counts from their sizes.
-        exposed: its exposure, with ``keep_sizes``.
-        etch: change of sizes.
-
-    Raises:
-        InputError: printed sizes were not kept, or ``microloading_range_um`` is below 12 periods.
+    The bias counts from the sizes of ``wanted``, the mask before correction; ``exposed`` is its exposure, with
+    ``keep_sizes``. InputError if printed sizes were not kept, or ``microloading_range_um`` is below 12 periods.
     """
     change = exposed.printed_less_drawn_nm
     if change is None:
@@ -83,13 +78,8 @@ def made_pillars(wanted: PillarMap, exposed: Exposure, etch: Etch) -> MadePillar
 def local_density(pillars: PillarMap, sizes_nm: Callable[[slice], Float32Array], etch: Etch) -> tuple[LongRange, float]:
     """Return the local density on blocks, averaged over ``microloading_range_um``, and its mean over the pillars.
 
-    Args:
-        pillars: lattice, and sites that count for the mean.
-        sizes_nm: returns width and length of all sites of some rows, shape (2, n_rows, n_x); 0 without a pillar.
-        etch: range of the average.
-
-    Raises:
-        InputError: a range below 12 periods.
+    ``sizes_nm`` returns width and length of all sites of some rows, shape (2, n_rows, n_x), 0 without a pillar.
+    InputError for a range below 12 periods.
     """
     lattice, index = pillars.lattice, pillars.to_array()
     least_nm = LONG_PERIODS * min(lattice.period_nm)

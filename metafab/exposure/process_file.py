@@ -89,22 +89,12 @@ def fitted_process(
 
 
 def process_files(path: Path, fitted: FittedProcess) -> tuple[Path, ...]:
-    """Return the files of :func:`save_process`.
-
-    Args:
-        path: the process file.
-        fitted: the fit.
-    """
+    """Return the files of :func:`save_process`."""
     return (path,) if fitted.unit_cell is None else (path, path.with_name(f"{path.stem}_cell.toml"))
 
 
 def save_process(fitted: FittedProcess, path: Path) -> tuple[Path, ...]:
-    """Write the process file, and beside it NAME_cell.toml with the unit cell of the made pillars if there is one.
-
-    Args:
-        fitted: the fit.
-        path: the process file.
-    """
+    """Write the process file, and beside it NAME_cell.toml with the unit cell of the made pillars if there is one."""
     fit = fitted.fit
     lines = [
         f"# {name}: {value.value:.6g}" + (f" +- {value.error:.2g}" if value.error is not None else " (not fitted)")

@@ -112,15 +112,10 @@ def plan_patch(
     padding_sites: int = PADDING_SITES,
     settings: SupercellSettings = QUICK,
 ) -> PatchPlan:
-    """Cut a square patch from a mask and estimate the cost of its simulation.
+    """Cut a square patch, its side rounded to whole sites, from a mask and estimate the cost of its simulation.
 
-    Args:
-        at_um: (x, y) of the patch's middle.
-        size_um: side, rounded to whole sites.
-        padding_sites: neighbours on each side that are simulated but not compared.
-
-    Raises:
-        InputError: the place is off the lens, no pillar stands there, or the grid does not fit.
+    ``padding_sites`` neighbours on each side are simulated but not compared. InputError if the place is off the lens,
+    no pillar stands there, or the grid does not fit.
     """
     period_um = [p * 1e-3 for p in library.unit_cell.cell.period_nm]
     n_x, n_y = (round(size_um / p) for p in period_um)
@@ -140,16 +135,9 @@ def solve_patch(
     pool: Pool | None = None,
     progress: Progress = silent,
 ) -> Patch:
-    """Simulate a planned patch.
+    """Simulate a planned patch, by default with workers of Meep that live as long as this process.
 
-    Args:
-        plan: patch and settings.
-        polarisation: polarisation of the incident light.
-        pool: workers of Meep; by default one that lives as long as this process.
-
-    Raises:
-        MissingToolError: no interpreter has Meep.
-        SolverError: the simulation failed.
+    MissingToolError if no interpreter has Meep, SolverError if the simulation failed.
     """
     supercell, padding = plan.supercell, plan.padding_sites
     answer = solve_supercell(supercell, polarisation, plan.settings, pool, progress)

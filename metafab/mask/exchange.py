@@ -17,14 +17,9 @@ _UNIT_M, _NM_M = 1e-6, 1e-9
 
 
 def from_gdstk(cell: gdstk.Cell, design: Design) -> ReadBack:
-    """Recover the pillars of a gdstk cell, as :func:`metafab.mask.read` does those of a file.
+    """Recover the pillars of a gdstk cell, in micrometres, as :func:`metafab.mask.read` does those of a file.
 
-    Args:
-        cell: shapes in micrometres, the lens centred on the origin; cells that it places are included.
-        design: lattice, layer and unit of the pillars.
-
-    Raises:
-        InputError: as :func:`metafab.mask.read`.
+    The lens is centred on the origin; cells that ``cell`` places are included. Errors as :func:`metafab.mask.read`.
     """
     import gdstk
 

@@ -62,13 +62,9 @@ class MeasuredTable:
 
 
 def read_measured(path: Path, optional: Sequence[str] = ()) -> MeasuredTable:
-    """Read a .csv file with the columns :data:`COLUMNS`; lines that begin with # are left out.
+    """Read a .csv file with the columns :data:`COLUMNS` and, where it has them, ``optional`` ones; # begins a comment.
 
-    Args:
-        optional: further columns to read where the file has them.
-
-    Raises:
-        InputError: a table that cannot be read, sizes that are not positive, or numbers that are not finite.
+    InputError for a table that cannot be read, sizes that are not positive, or numbers that are not finite.
     """
     expected = f"a .csv file with the columns {', '.join(COLUMNS)}"
     try:

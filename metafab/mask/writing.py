@@ -91,11 +91,9 @@ class Fracture:
 
 
 def fracture(polygons: Sequence[NDArray[np.int64]], unit_nm: float, exposure: Exposure) -> Fracture:
-    """Cut polygons into trapezoids and shots.
+    """Cut polygons, corners of shape (n, 2) in database units for each size, into trapezoids and shots of the machine.
 
-    Args:
-        polygons: corners of each size, shape (n, 2), database units; a single point for no pillar.
-        exposure: shot size of the machine.
+    A single point stands for no pillar.
     """
     trapezoids = np.zeros(len(polygons), dtype=np.int64)
     shots = np.zeros(len(polygons), dtype=np.int64)
@@ -151,10 +149,8 @@ class FieldTimes:
 def field_times(exposure: Exposure, lens_seconds: Sequence[FloatArray], centre_um: Sequence[FloatArray]) -> FieldTimes:
     """Order the write fields of all lenses and add up their times.
 
-    Args:
-        exposure: order and drift.
-        lens_seconds: time of each field of each lens, shape (rows, columns); 0 for a field without shapes.
-        centre_um: centre (x, y) of each field of each lens, shape (rows, columns, 2).
+    ``lens_seconds`` is the time of each field of each lens, shape (rows, columns), 0 for a field without shapes;
+    ``centre_um`` its centre (x, y), shape (rows, columns, 2).
     """
     rate = exposure.drift_nm_per_min / 60.0
     lens, place, at, seconds = [], [], [], []

@@ -20,18 +20,9 @@ from metafab.report.viewers import decoded_view, psf_view
 
 
 def write(run_dir: Path, progress: Progress = silent, workers: int | None = None) -> Path:
-    """Write ``figures/*.png`` and ``report.html`` of a run folder, from its files alone.
+    """Write ``figures/*.png`` and ``report.html`` of a run folder (else InputError), from its files; return the page.
 
     A section whose files are missing holds a note.
-
-    Args:
-        workers: processes that draw; None for all cores.
-
-    Returns:
-        Path of the page.
-
-    Raises:
-        InputError: ``run_dir`` is not a run folder.
     """
     if not (run_dir / "design.toml").is_file() and not (run_dir / "summary.json").is_file():
         got = "a folder without design.toml and summary.json" if run_dir.is_dir() else "no folder at that path"

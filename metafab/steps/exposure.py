@@ -48,16 +48,8 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     """Predict the pillars of a written mask by ``[process]``, and the light behind them.
 
     Printed corners and the made height and sidewalls change the amplitudes like the corners of a tolerance study
-    (:mod:`metafab.tolerance.corners`).
-
-    Args:
-        job: the design, with ``[process.exposure]``.
-        path: the mask file.
-        printed: "plain" for one dose, "corrected" for the correction of ``[process.exposure]``.
-        copy: lens of ``mask.copies``, counted from 1.
-
-    Raises:
-        InputError: as :func:`expose_mask`; or sizes too far beyond the library.
+    (:mod:`metafab.tolerance.corners`). ``printed`` is "plain" for one dose, or "corrected" for the correction of
+    ``[process.exposure]``. Errors as :func:`expose_mask`; InputError for sizes too far beyond the library.
     """
     from metafab import optics, tolerance
     from metafab.exposure.etch import made_pillars
@@ -137,14 +129,7 @@ def expose_mask(
 
 
 def save_exposure(exposed: ExposedMask, mask_file: Path, design: Design, path: Path) -> None:
-    """Write ``exposure.json`` for the report of the mask's run.
-
-    Args:
-        exposed: the exposure with its ``plain`` size errors.
-        mask_file: the exposed mask.
-        design: design of the mask, with ``[process.exposure]``.
-        path: the file.
-    """
+    """Write ``exposure.json`` for the report of the mask's run: the exposure with its ``plain`` size errors."""
     from metafab import exposure
 
     assert exposed.plain is not None
@@ -173,12 +158,6 @@ def write_corrected(exposed: ExposedMask, design: Design, folder: Path, progress
 
     The table has the columns ``datatype`` and ``dose_over_base_dose``; the second file is the shot modulation of JEOL
     writers. A design with ``[mask.dose]``, ``by = "proximity"`` and as many classes reads the mask back.
-
-    Args:
-        exposed: the corrected exposure.
-        design: design of the mask.
-        folder: created if missing.
-        progress: callback with the number of written sites.
     """
     from metafab import mask
 

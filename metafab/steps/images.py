@@ -233,13 +233,8 @@ def decoded_film(
 ) -> Iterator[tuple[RawFrame, Image4D]]:
     """Simulate and decode the frames of a moving scene one by one; unchanged regions are decoded once.
 
-    Args:
-        psf_path: file of the PSF pair, for exposure and decoding.
-        frames: number of frames; that of the scene by default.
-        seed: seed of textures and noise; that of the scene by default.
-
-    Raises:
-        InputError: the pair does not suit the scene, or its frames do not hold both images.
+    One pair serves exposure and decoding. Number of frames and seed of textures and noise are those of the scene by
+    default. InputError if the pair does not suit the scene, or its frames do not hold both images.
     """
     from metafab import camera, decode, optics
 

@@ -84,12 +84,10 @@ def fields_at(
     executor: Executor | None = None,
     progress: Progress = silent,
 ) -> list[CornerField]:
-    """Return the mask at some corners.
+    """Return the mask, upright pillars of any size, at some corners: values by name and axis of a library.
 
-    Args:
-        written: upright pillars of any size with their amplitudes.
-        corners: name of each corner and its values, by axis (of :class:`metafab.spec.cell.Axes`).
-        executor: solves cells; None for this process. The result does not depend on it.
+    The axes are those of :class:`metafab.spec.cell.Axes`. The result does not depend on the executor (None for this
+    process).
     """
     sizes = MaskSizes.of(written, library)
     plans = [_plan(sizes, library, corner) for _, corner in corners]

@@ -28,11 +28,7 @@ _log = logging.getLogger(__name__)
 
 
 class ClusterExecutor(Executor):
-    """Executor over the workers of a Dask cluster.
-
-    Args:
-        client: a ``distributed.Client``; the caller closes it.
-    """
+    """Executor over the workers of a Dask cluster; the caller closes the ``distributed.Client``."""
 
     def __init__(self, client: Any) -> None:
         self._client = client
@@ -70,9 +66,6 @@ def open_cluster(address: str, progress: Progress = silent) -> Iterator[ClusterE
 
     While the cluster has no worker, calls wait for one; after :data:`PATIENCE_S`, a warning is logged and the wait is
     reported as progress.
-
-    Args:
-        address: address of the scheduler.
 
     Raises:
         MissingToolError: dask distributed is not installed.

@@ -34,11 +34,7 @@ _LONGEST_NAME = 160
 
 
 class _Piece(Future[Any]):
-    """The result of a call, whatever pool it comes from.
-
-    Args:
-        call: the function with its arguments.
-    """
+    """The result of a call (the function with its arguments), whatever pool it comes from."""
 
     def __init__(self, call: partial[Any]) -> None:
         super().__init__()
@@ -53,11 +49,7 @@ class _Piece(Future[Any]):
 
 
 class WorkerProcesses(Executor):
-    """Process pool that replaces workers that die.
-
-    Args:
-        count: number of workers, each with one thread of BLAS.
-    """
+    """Pool of ``count`` processes, each with one thread of BLAS, that replaces workers that die."""
 
     def __init__(self, count: int) -> None:
         self._count = count

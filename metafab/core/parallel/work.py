@@ -19,13 +19,7 @@ class Work:
     progress: Progress = silent  #: Callback of long work.
 
     def processes(self) -> AbstractContextManager[Executor]:
-        """Open an executor over processes of this machine, or over the cluster.
-
-        Raises:
-            InputError: ``workers`` is below one.
-            MissingToolError: ``cluster`` is set but Dask is not installed.
-            ClusterLostError: the scheduler goes away within the block.
-        """
+        """Open an executor over processes of this machine, or over the cluster; errors as :func:`open_executor`."""
         return open_executor(self.workers, self.cluster, self.progress)
 
     def threads(self) -> AbstractContextManager[Executor]:

@@ -112,11 +112,8 @@ def write_json(path: Path, value: Any) -> None:
 def read_json(path: Path, kind: str, format_version: int, make: Callable[[dict[str, Any]], Made]) -> Made | None:
     """Read a JSON file of a kind; return None if it is missing, unreadable, of another kind or of a newer format.
 
-    Args:
-        path: a file written by :func:`write_json`, with ``kind`` and ``format_version`` among its keys.
-        kind: expected kind.
-        format_version: newest readable format.
-        make: builds the result from the other keys; an error that it raises on a damaged table counts as unreadable.
+    :func:`write_json` wrote it with ``kind`` and ``format_version`` among its keys; ``make`` builds the result from the
+    others. An error that it raises on a damaged table counts as unreadable.
     """
     try:
         table: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))

@@ -29,12 +29,8 @@ def applicable(figures: Any) -> dict[str, Any]:
 def typed(kind: type[Figures], table: Mapping[str, Any]) -> Figures:
     """Make a dataclass from a table written by :func:`metafab.core.storage.files.plain`; unknown keys are ignored.
 
-    Args:
-        kind: a dataclass of numbers, text, arrays, dataclasses, and tuples or dicts of these.
-        table: its fields by name; null stands for NaN, "inf" for infinity.
-
-    Raises:
-        ValueError, TypeError, ArithmeticError: a field is missing or does not fit its type.
+    Its fields are numbers, text, arrays, dataclasses, and tuples or dicts of these; null stands for NaN, "inf" for
+    infinity. ValueError, TypeError or ArithmeticError if a field is missing or does not fit its type.
     """
     if not isinstance(table, Mapping):
         raise TypeError(f"expected a table of {kind.__name__}, got {type(table).__name__}")

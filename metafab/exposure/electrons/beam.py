@@ -66,15 +66,9 @@ class BeamPsf:
 
     @classmethod
     def fitted(cls, radius_nm: FloatArray, density: FloatArray, source: str) -> BeamPsf:
-        """Fit Gaussians to a radial table.
+        """Fit Gaussians to a radial table of energy per area, any unit, at ascending positive radii: shape (n,) each.
 
-        Args:
-            radius_nm: shape (n,), ascending and positive.
-            density: shape (n,), energy per area in any unit, not negative.
-            source: reference of the table.
-
-        Raises:
-            InputError: fewer than eight rows, or values out of range.
+        ``source`` is its reference. InputError for fewer than eight rows, or values out of range.
         """
         sound = (
             radius_nm.size >= 8 and radius_nm[0] > 0.0 and np.all(np.diff(radius_nm) > 0.0) and np.all(density >= 0.0)

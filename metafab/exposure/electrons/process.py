@@ -19,15 +19,10 @@ from metafab.spec.mask import ExposureProcess
 
 
 def beam_psf(process: ExposureProcess, focus_um: float | None = None) -> BeamPsf:
-    """Build the function from a preset, terms or a table, with the process' blur.
+    """Build the function from a preset, terms or a table, with the process' blur, at a focus (None for the best one).
 
-    Args:
-        process: the process.
-        focus_um: focus of the beam; None for the best one.
-
-    Raises:
-        InputError: an unknown preset, an unreadable table, a ratio for a function without backscattered part, or a
-            beam out of focus without its convergence.
+    InputError for an unknown preset, an unreadable table, a ratio for a function without backscattered part, or a beam
+    out of focus without its convergence.
     """
     if process.preset is not None:
         plain = preset(process.preset)
@@ -116,12 +111,8 @@ def _unit_of(header: str) -> Literal["nm", "um"] | None:
 def exposure_process(design: Design, further: Sequence[Fault] = ()) -> ExposureProcess:
     """Return ``[process.exposure]`` of a design whose pillars the exposure can predict.
 
-    Args:
-        design: the design.
-        further: faults that the caller found.
-
-    Raises:
-        InputError: no such table, keys that are not available with the exposure, or ``further`` faults.
+    InputError if there is no such table, with the keys that are not available with the exposure, and with the
+    ``further`` faults that the caller found.
     """
     process = None if design.process is None else design.process.exposure
     if process is None:

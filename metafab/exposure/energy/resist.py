@@ -41,15 +41,7 @@ class TileEnergy:
 
 
 class ResistEnergy:
-    """Energy in the resist at every pillar of a pattern, for any doses.
-
-    Args:
-        pillars: drawn rectangles on a rectangular lattice.
-        psf: point-spread function of the beam.
-
-    Raises:
-        InputError: a hexagonal lattice.
-    """
+    """Energy in the resist at every pillar of a pattern, for any doses; InputError for a hexagonal lattice."""
 
     def __init__(self, pillars: PillarMap, psf: BeamPsf) -> None:
         lattice = pillars.lattice

@@ -63,14 +63,9 @@ class TileEncoder(ABC):
 
 
 class MaskWriter(ABC):
-    """Writes a mask tile by tile, in the memory of the tiles in flight.
+    """Writes a mask tile by tile to a binary stream at its start, in the memory of the tiles in flight.
 
-    Args:
-        stream: binary stream at its start.
-        drawing: the mask.
-
-    Raises:
-        InputError: the format cannot hold the mask.
+    InputError if the format cannot hold the mask.
     """
 
     encoder: TileEncoder  #: Makes the encoded tiles that :meth:`add` takes.
@@ -98,14 +93,10 @@ class MaskWriter(ABC):
     def close(
         self, surroundings: Iterable[tuple[int, IntArray]] = (), polygons: Iterable[tuple[int, int, IntArray]] = ()
     ) -> None:
-        """Write the top cell and the end of the file.
+        """Write the top cell and the end of the file; InputError if the format cannot hold a rectangle.
 
-        Args:
-            surroundings: (layer, rectangles of shape (n, 4)) to draw in the top cell.
-            polygons: (layer, datatype, corners of shape (n, 2)) to draw in the top cell.
-
-        Raises:
-            InputError: the format cannot hold a rectangle.
+        ``surroundings`` are (layer, rectangles of shape (n, 4)) to draw in the top cell, ``polygons`` (layer, datatype,
+        corners of shape (n, 2)).
         """
         for _, cell in sorted(self._cells.items()):
             self._write(cell)

@@ -66,14 +66,10 @@ def shapes_beside(design: Design) -> tuple[tuple[Surroundings, ...], tuple[Inclu
 
 
 def included_cells(design: Design, around: tuple[Surroundings, ...]) -> tuple[IncludedCell, ...]:
-    """Read the cells of ``mask.include``.
+    """Read the cells of ``mask.include``, which must not touch the shapes ``around`` the lenses.
 
-    Args:
-        around: shapes around the lenses, which the cells must not touch.
-
-    Raises:
-        InputError: a file or a cell is missing, a corner lies off the grid, a layer holds pillars, field, or chip
-            features, or a polygon touches a lens, another feature, or another included cell.
+    InputError if a file or a cell is missing, a corner lies off the grid, a layer holds pillars, field, or chip
+    features, or a polygon touches a lens, another feature, or another included cell.
     """
     cells = tuple(_read(design, number, item) for number, item in enumerate(design.mask.include, start=1))
     for number, cell in enumerate(cells, start=1):

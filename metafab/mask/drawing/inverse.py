@@ -24,14 +24,9 @@ FIELD_RECTANGLES = 4
 
 
 class InvertedField:
-    """Stamps of the field around pillars, and rectangles of tiles without pillars.
+    """Stamps of the field around pillars, for each bias of the copies, and rectangles of tiles without pillars.
 
-    Args:
-        layer: layer of the field; its datatype is 0.
-        biases_dbu: biases of the copies of the lens.
-
-    Raises:
-        InputError: the lattice is hexagonal, or a pillar is wider than its cell.
+    The layer's datatype is 0. InputError if the lattice is hexagonal, or a pillar is wider than its cell.
     """
 
     def __init__(self, pillars: PillarMap, layer: int, biases_dbu: tuple[int, ...]) -> None:
@@ -75,9 +70,7 @@ class InvertedField:
     def count(self, used: NDArray[np.int64], filled: set[tuple[int, int]], copies: tuple[LensCopy, ...]) -> int:
         """Count the rectangles of the field over all copies.
 
-        Args:
-            used: shape (n_sizes + 1,), number of sites of each size in the ``filled`` tiles.
-            filled: (row, column) of the tiles that hold pillars.
+        ``used``, shape (n_sizes + 1,), is the number of sites of each size in the ``filled`` tiles, (row, column).
         """
         total = len(self.without_pillars(filled, copies))
         for stamp, drawn in zip(self._stamps, self._drawn, strict=True):

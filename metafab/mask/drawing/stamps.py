@@ -64,9 +64,7 @@ class Stamps:
     def exposed(self, used: NDArray[np.int64], filled: set[tuple[int, int]]) -> int:
         """Count the exposed shapes of all copies: those of the field if it is drawn, else the pillars.
 
-        Args:
-            used: shape (n_sizes + 1,), number of sites of each size in the ``filled`` tiles.
-            filled: (row, column) of the tiles that hold pillars.
+        ``used``, shape (n_sizes + 1,), is the number of sites of each size in the ``filled`` tiles, (row, column).
         """
         if self._field is None:
             return len(self._copies) * int(used[1:].sum())

@@ -23,14 +23,9 @@ def damaged(source: str, expected: str, got: str) -> InputError:
 
 
 class Window:
-    """Sequential reading of records through a window that moves along the file.
+    """Sequential reading of records through a window of ``size`` bytes that moves along the file.
 
-    Args:
-        size: its length in bytes.
-        source: its name, for messages.
-
-    Raises:
-        InputError: from its methods, where the file is damaged.
+    Its methods raise InputError, with the name ``source``, where the file is damaged.
     """
 
     def __init__(self, stream: BinaryIO, size: int, source: str) -> None:

@@ -47,9 +47,8 @@ class Ray:
     ) -> Ray:
         """Return the ray to the geometric image point of one polarisation (0 for x, 1 for y).
 
-        Args:
-            polarisation: of the image point.
-            entry: of the Jones matrix of a birefringent substrate; by default ``polarisation`` behind and before it.
+        ``entry`` is that of the Jones matrix of a birefringent substrate; by default ``polarisation`` behind and before
+        it.
         """
         x, y = imaging.image_point_um(polarisation, tangent)
         entry = (polarisation, polarisation) if entry is None else entry

@@ -30,12 +30,9 @@ _NODES, _RADII, _RADIUS = 48, 400, 30.0
 
 
 def weights(quantity: Quantity, target_um: tuple[float, float, float], polarisation: int) -> list[Weight | None]:
-    """Return the factors of the sites for each field component that a quantity needs.
+    """Return the factors of the sites for each field component an irradiance needs, for 0 (x) or 1 (y) polarised light.
 
-    Args:
-        quantity: irradiance that is computed.
-        target_um: image point to which the sites send their light.
-        polarisation: 0 for x, 1 for y polarised light.
+    ``target_um`` is the image point to which the sites send their light.
     """
     if quantity == "scalar":
         return [None]

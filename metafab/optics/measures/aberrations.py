@@ -38,13 +38,9 @@ _Convention = Literal["noll", "fringe"]
 def aberrations(
     source: Source, imaging: Imaging, depth_m: float, *, polarisation: int = 0, work: Work = Work()
 ) -> AberrationFigures:
-    """Return the wavefront error for an object on the axis.
+    """Return the wavefront error of a polarisation (0 for x, 1 for y) for an object on the axis.
 
-    Args:
-        polarisation: 0 for x, 1 for y.
-
-    Raises:
-        InputError: too few blocks transmit light for the polynomials.
+    InputError if too few blocks transmit light for the polynomials.
     """
     ray = Ray.towards_image(imaging, polarisation, depth_m, (0.0, 0.0))
     sites = min(source.lattice.shape)

@@ -106,14 +106,9 @@ def _sum_of_four(values: Any) -> Any:
 
 
 def reduce_field(source: Source, carriers: Sequence[Carrier], wavenumber: float, work: Work = Work()) -> list[Pupil]:
-    """Return the block sums behind each carrier, from one pass over the tiles of the source.
+    """Return the block sums behind each carrier (polarisation, ray, block size), from one pass over the source's tiles.
 
-    Memory beyond the source is that of the block sums: a tile is summed and dropped.
-
-    Args:
-        carriers: polarisation, ray and block size of each result.
-        wavenumber: k, rad/um.
-        work: number of threads, and progress over the sites.
+    Memory beyond the source is that of the block sums: a tile is summed and dropped. ``wavenumber`` is k, rad/um.
     """
     x, y = source.lattice.x_um(), source.lattice.y_um()
     pupils = [_empty_pupil(carrier, wavenumber, source.lattice) for carrier in carriers]

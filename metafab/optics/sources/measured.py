@@ -23,16 +23,11 @@ _NEAREST = 4
 
 
 def with_measured_sizes(pillars: PillarMap, path: Path, library: Library) -> PillarMap:
-    """Return the pillars of a mask with the sizes of a table.
+    """Return the pillars of a mask, upright as drawn, with the sizes of a table.
 
-    Args:
-        pillars: upright pillars as drawn.
-        path: .csv with the columns x_um and y_um, from the axis, and width_nm and length_nm.
-        library: its range of sizes limits those of the pillars.
-
-    Raises:
-        InputError: a table that cannot be read, a place without a pillar or given twice, or sizes beyond the library;
-            the message states the share of these pillars.
+    The .csv has the columns x_um and y_um, from the axis, and width_nm and length_nm. InputError for a table that
+    cannot be read, a place without a pillar or given twice, or sizes beyond the library; the message states the share
+    of these pillars.
     """
     table = read_measured(path)
     sites = table.sites(pillars)

@@ -76,13 +76,8 @@ class NeighbourField:
 def neighbour_field(pillars: PillarMap, library: Library, workers: int | None = None) -> NeighbourField:
     """Return the field behind the pillars of a mask by the library's model of unlike neighbours.
 
-    Args:
-        pillars: upright pillars in a rectangular lattice.
-        library: library with a model of neighbours.
-        workers: threads; None for one per core.
-
-    Raises:
-        InputError: the library has no model of neighbours, lacks a size of the mask, or the pillars are turned.
+    ``workers`` is a number of threads (None: one per core). InputError if the library has no such model, lacks a size
+    of the mask, or the pillars are turned or hexagonal.
     """
     neighbours = require_neighbours(library)
     if pillars.angle_deg is not None or pillars.lattice.hexagonal:

@@ -51,15 +51,9 @@ def require_film_name(path: Path) -> None:
 
 
 def write_film(film: Sequence[tuple[RawFrame, Image4D]], path: Path, *, frame_interval_s: float) -> Path:
-    """Draw every frame and write the film, played in real time.
+    """Draw every frame, raw and decoded, of one camera and write the film, played in real time; return its path.
 
-    Args:
-        film: raw and decoded frames of one camera, at least one.
-        path: the .gif (by Pillow) or .mp4 (by ffmpeg) to write.
-        frame_interval_s: time between frames; a GIF rounds it to hundredths of a second.
-
-    Returns:
-        ``path``.
+    Pillow writes a .gif, whose interval is rounded to hundredths of a second, and ffmpeg an .mp4.
     """
     require_film_name(path)
     pictures = list(_pictures(film, frame_interval_s))

@@ -133,12 +133,9 @@ def map_intervals(
 
 
 def cosine_integrals_upto(intervals: list[Interval], k: IntArray, fill: float) -> FloatArray:
-    """Integrals of dx/du cos(pi k u) from 0 to where x = ``fill``, u and x over half a period, 0 to 1.
+    """Integrals of dx/du cos(pi k u) from 0 to where x = ``fill``, u and x over half a period, 0 to 1: shape of ``k``.
 
-    Args:
-        intervals: the map, from 0 to 1.
-        k: shape (n,), harmonics; the integrals have this shape.
-        fill: upper end in x, 0 to 1.
+    ``intervals`` is the map, from 0 to 1.
     """
     total, left = np.zeros(k.size), fill
     for part in intervals:
