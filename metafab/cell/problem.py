@@ -27,18 +27,11 @@ def pillar_cell(
     angle_deg: float = 0.0,
     azimuth_deg: float = 0.0,
 ) -> PillarCell:
-    """Return the cell of one pillar of ``unit_cell``, with its materials' indices at the wavelength.
+    """Return the cell of one pillar of ``unit_cell``, with its materials' indices at the wavelength (that of the spec).
 
-    Args:
-        unit_cell: the spec.
-        width_nm: pillar size along x, 0 to the period.
-        length_nm: pillar size along y, 0 to the period.
-        wavelength_nm: vacuum wavelength; by default the spec's.
-        angle_deg: polar angle in the medium of incidence, 0 to < 90.
-        azimuth_deg: azimuth of the plane of incidence, counter-clockwise from +x.
-
-    Raises:
-        InputError: a size or an angle is out of range, or a material is not known at the wavelength.
+    Width (along x) and length (along y) are 0 to the period. ``angle_deg`` is the polar angle in the medium of
+    incidence, 0 to < 90; ``azimuth_deg`` that of the plane of incidence, counter-clockwise from +x. InputError if one
+    is out of range, or a material is not known at the wavelength.
     """
     spec, materials = unit_cell.cell, unit_cell.materials
     wavelength = unit_cell.illumination.wavelength_nm if wavelength_nm is None else wavelength_nm
@@ -71,11 +64,7 @@ def pillar_cell(
 
 
 def is_square(unit_cell: UnitCell) -> bool:
-    """Whether exchanging x and y exchanges the two polarisations and changes nothing else.
-
-    Raises:
-        InputError: the substrate is not known at the wavelength.
-    """
+    """Whether swapping x and y swaps the polarisations and nothing else; InputError if the substrate is not known."""
     n_x, n_y = refractive_index(unit_cell.materials.substrate, unit_cell.illumination.wavelength_nm)
     return unit_cell.has_square_lattice and n_x == n_y
 
@@ -87,11 +76,8 @@ def solve(
 ) -> CellResponse:
     """Solve one cell for its Jones matrices with the solver that ``numerics`` names.
 
-    Args:
-        cell: the cell.
-        numerics: solver, target error and largest truncation.
-        known: truncations of this cell by (cosines or polynomial order, steps), which are taken from there and added;
-            for several targets by RCWA or elements.
+    ``known`` holds truncations of this cell by (cosines or polynomial order, steps), which are taken from there and
+    added; for several targets by RCWA or elements.
 
     Raises:
         InputError: the cell is unphysical, the numerics are out of range, or the solver does not treat the cell.
@@ -142,17 +128,9 @@ def solve_many(
     *,
     batch: int = 16,
 ) -> Iterator[CellResponse]:
-    """Solve many cells in batches over an executor; yield the responses as they finish.
+    """Solve cells in batches of ``batch`` over an executor (None: this process); yield the responses as they finish.
 
-    Args:
-        cells: cells to solve.
-        numerics: numerics of every cell.
-        executor: processes or a cluster; None for this process.
-        progress: callback after every batch.
-        batch: cells in one batch.
-
-    Raises:
-        InputError, MissingToolError, SolverError: as :func:`solve`.
+    ``progress`` is called after every batch. Errors as :func:`solve`.
     """
     todo = list(cells)
     batches = [todo[start : start + batch] for start in range(0, len(todo), batch)]

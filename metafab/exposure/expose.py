@@ -209,10 +209,8 @@ def expose(
 def _corrected(process: Printing, dose: Float32Array, progress: Progress) -> tuple[Float32Array, int]:
     """Find the doses at which the mean size error of each pillar's width and length vanishes, by Newton's method.
 
-    The derivative assumes that the doses of neighbours change by the same factor.
-
-    Returns:
-        Doses, shape (n_y, n_x), and the number of rounds.
+    The derivative assumes that the doses of neighbours change by the same factor. Returns doses, shape (n_y, n_x), and
+    the number of rounds.
     """
     tables = process.tables
     for number in range(1, _MOST_ROUNDS + 1):
@@ -237,8 +235,7 @@ def _corrected(process: Printing, dose: Float32Array, progress: Progress) -> tup
 def _quantised(resist: ResistEnergy, dose: Float32Array, classes: int) -> tuple[NDArray[np.uint8], FloatArray]:
     """Divide the doses into classes by equal steps of their logarithm; the dose of a class is the mean of its members.
 
-    Returns:
-        Class of each site, shape (n_y, n_x), and dose of each class, shape (classes,).
+    Returns the class of each site, shape (n_y, n_x), and the dose of each class, shape (classes,).
     """
     if not 2 <= classes <= 256:
         raise InputError.single("exposure", "classes", "2 to 256", str(classes))

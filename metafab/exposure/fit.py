@@ -199,14 +199,8 @@ def fit_process(
 class _Model:
     """Sizes of measured pillars for any process, whose values have the order of :data:`PARAMETERS`.
 
-    Args:
-        lenses: the measurements.
-        forward: forward part of the point-spread function, weights of sum 1, without blur.
-        back: backscattered part, weights of sum 1.
-        start: values of the process.
-        chosen: whether each is fitted.
-        etch: range of the microloading.
-        work: threads.
+    ``forward`` (without blur) and ``back`` are the parts of the point-spread function, weights of sum 1 each. ``start``
+    are values of the process, ``chosen`` those that are fitted; ``etch`` is the range of the microloading.
     """
 
     def __init__(

@@ -64,14 +64,9 @@ def twin_depth_information(
 ) -> FloatArray:
     """Information about depth in twin images of a patch of unknown texture with the size of the PSF windows.
 
-    Args:
-        psf: shape (2, n_depth, n_y, n_x), irradiance at pixel centres, 1/um^2 per unit power.
-        depth_m: shape (n_depth,), ascending.
-        texture: electrons per pixel, contrast, spectrum and noise.
-        contrast_known: whether the brightness ratio of the two images is known.
-
-    Returns:
-        Shape (n_depth,), 1/m^2; proportional to the area of the patch.
+    ``psf`` is the irradiance at pixel centres, shape (2, n_depth, n_y, n_x), 1/um^2 per unit power; depths ascend.
+    ``contrast_known``: whether the brightness ratio of the two images is known. Shape (n_depth,), 1/m^2; proportional
+    to the area of the patch.
     """
     stacks = (np.fft.ifftshift(stack, axes=(2, 3)) for stack in (psf, depth_slope(psf, depth_m)))
     transfer, slope = (np.moveaxis(np.fft.fft2(stack), 1, 0) * pixel_um**2 for stack in stacks)

@@ -64,11 +64,8 @@ class ReadBack:
     def require_pillars_alone(self, remedy: str) -> None:
         """Refuse a file whose pillar layer holds anything else than pillars at sites of the lattice.
 
-        Args:
-            remedy: the consequence for the caller, and what to do.
-
-        Raises:
-            InputError: with the number of leftovers of each kind.
+        ``remedy`` is the consequence for the caller, and what to do. InputError with the number of leftovers of each
+        kind.
         """
         unplaced = {
             "off the lattice": self.off_site.count,
@@ -90,16 +87,12 @@ def read(
     The file may be metafab's own or have been through other software: flat or hierarchical, with arrays and
     repetitions, mirrored or turned by right angles, renamed, in other units.
 
-    Args:
-        path: the file.
-        design: lattice, layer and unit of the pillars.
-        progress: callback with the number of indexed bytes and of read shapes.
-        copy: which lens of ``mask.copies``, counted from 1; rectangles of the others are counted, not placed.
-        known: recognises pillars among shapes; by default those of the design's cross-section, upright.
+    ``copy`` is a lens of ``mask.copies``, counted from 1; rectangles of the others are counted, not placed. ``known``
+    recognises pillars among shapes; by default those of the design's cross-section, upright. ``progress`` gets the
+    number of indexed bytes and of read shapes.
 
-    Raises:
-        InputError: the file is missing, empty, truncated, damaged or of another kind, or holds far more shapes
-            than the design has sites; or the design has no such copy.
+    InputError if the file is missing, empty, truncated, damaged or of another kind, or holds far more shapes than the
+    design has sites; or the design has no such copy.
     """
     known = known or KnownShapes(Outline.of(design))
     with limited(**design.stated_limits):
@@ -123,8 +116,7 @@ class Shapes:
 def read_shapes(path: Path, design: Design, progress: Progress = silent, *, known: KnownShapes = RECTANGLES) -> Shapes:
     """Open a GDSII or OASIS file as rectangles (or the shapes ``known``) and others, without a lattice.
 
-    Raises:
-        InputError: as :func:`read`.
+    Errors as :func:`read`.
     """
     # Blocks are not skipped: a stream cannot start again once a block is found to hold more than pillars.
     with limited(**design.stated_limits):
@@ -225,11 +217,7 @@ def _sites(design: Design) -> int:
 
 
 def _refuse_many(path: Path, count: int, most: float) -> None:
-    """Refuse a file with more than ``most`` shapes.
-
-    Raises:
-        InputError: it holds more.
-    """
+    """Refuse (InputError) a file with more than ``most`` shapes."""
     if count > most:
         raise beyond(str(path), "shapes", "shapes", f"at most {most:g}", str(count), "is it another design's?")
 
@@ -247,11 +235,7 @@ def _chunks(hierarchy: Hierarchy) -> Iterator[Chunk]:
 
 
 def format_of(path: Path) -> Format:
-    """Return the format of a file, by its first bytes.
-
-    Raises:
-        InputError: it is missing, unreadable, or neither GDSII nor OASIS.
-    """
+    """Return the format of a file, by its first bytes; InputError if it is missing, or neither GDSII nor OASIS."""
     expected, remedy = "a GDSII or OASIS file", "write it with `metafab layout DESIGN.toml`"
     if not path.is_file():
         raise InputError.single(str(path), "file", expected, "nothing at that path", remedy)

@@ -52,33 +52,21 @@ def write(
     dose_class: NDArray[np.uint8] | None = None,
     class_dose: FloatArray | None = None,
 ) -> tuple[WrittenFile, ...]:
-    """Write ``layout.gds`` and ``layout.oas`` (those in ``mask.formats``), ``layout.lyp`` and ``layout.json``.
+    """Write masks ``layout.gds`` and ``.oas`` (of ``mask.formats``), ``layout.lyp`` and ``layout.json``; return all.
 
     Where doses are known, of ``mask.copies`` or of classes, ``doses.csv`` and ``doses.jdi`` give that of each datatype;
     with ``mask.exposure``, ``fields.csv`` lists the write fields in order.
 
-    Equal pillars and designs give equal bytes. Only a few tiles are held in memory.
+    Equal pillars and designs give equal bytes. Only a few tiles are held in memory. Files appear under their names only
+    when complete.
 
     Pillars are drawn with ``mask.bias_nm``, on one datatype for each class of ``mask.dose``. The top cell also holds
     the shapes of ``mask.chip`` and ``mask.tone``, and one lens for each of ``mask.copies``. A pillar has the same dose
     class in every copy. Options that the design leaves out change no byte. A file of an earlier call in a format that
     is no longer in ``mask.formats`` is removed, because ``layout.json`` would not describe it.
 
-    Args:
-        pillars: the standing pillars; drawn sizes must be even in database units.
-        directory: created if missing; files appear under their names only when complete.
-        design: formats, layer, unit, write field, name.
-        mapping: figures of the mapping, for ``layout.json``.
-        executor: encodes tiles, by default threads of this process. The file is written in this process.
-        dose_class: shape (n_y, n_x) of the lattice, dose class of each site, for ``mask.dose.by = "proximity"``.
-        class_dose: shape (classes,), dose of each class relative to the base dose, if it is known.
-
-    Returns:
-        The masks, ``layout.lyp``, ``layout.json`` and the tables.
-
-    Raises:
-        InputError: dose classes are missing or do not fit, edges would lie off the grid, or a format cannot hold the
-            layout.
+    ``mapping`` is for ``layout.json``, ``class_dose`` that of each class relative to the base dose, shape (classes,),
+    if known. Other arguments and errors as :func:`write_drawings`.
     """
     files: dict[str, Path] = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
     figures = write_drawings(pillars, files, design, progress, executor, dose_class)
@@ -114,18 +102,12 @@ def write_drawings(
     executor: Executor | None = None,
     dose_class: NDArray[np.uint8] | None = None,
 ) -> MaskFigures:
-    """Write upright or turned pillars to mask files, without their sidecars.
+    """Write upright or turned pillars to mask ``files`` by format ("gds", "oas"), without their sidecars.
 
-    Args:
-        pillars: the standing pillars; drawn sizes must be even in database units.
-        files: path by format, "gds" or "oas".
-        design: layer, unit, write field, name.
-        executor: encodes tiles, by default threads of this process.
-        dose_class: shape (n_y, n_x) of the lattice, dose class of each site, for ``mask.dose.by = "proximity"``.
-
-    Raises:
-        InputError: dose classes are missing or do not fit, edges would lie off the grid, or a format cannot hold the
-            layout.
+    Drawn sizes must be even in database units. ``executor`` encodes tiles, by default threads of this process;
+    ``dose_class``, shape (n_y, n_x) of the lattice, is the class of each site for ``mask.dose.by = "proximity"``.
+    InputError if dose classes are missing or do not fit, edges would lie off the grid, or a format cannot hold the
+    layout.
     """
     _require_grid(pillars, design)
     drawn = biased(pillars, design.mask.bias_nm)

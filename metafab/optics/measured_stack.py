@@ -212,8 +212,7 @@ def _border(shape: tuple[int, int]) -> FloatArray:
 def _without_background(stack: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Pictures less the median of their border, 0 below three standard deviations of its noise.
 
-    Returns:
-        The pictures; background and standard deviation of each, shape (channels, n_depth).
+    Also background and standard deviation of each, shape (channels, n_depth).
     """
     ring = stack[..., _border(stack.shape[2:]) > 0.0]
     background = np.median(ring, axis=-1)

@@ -19,20 +19,17 @@ _REMEDY = "export the stack as .npy of shape (depths, rows, columns) or (2, dept
 
 
 def read_stack(path: Path, depths: int, names: Sequence[str] = ()) -> FloatArray:
-    """Read a stack of pictures over depth, of one or two channels.
+    """Read a stack of pictures over depth, of one or two channels: shape (channels, depths, rows, columns).
 
     The axes may stand as (depths, rows, columns), as (rows, columns, depths), or either with an axis of two channels on
     the outer or inner side of the depths. If a shape fits several, the last axis is the depth in a MATLAB file and the
-    first in all others.
+    first in all others. Rows are in the file's order.
 
     Args:
         path: .mat (version 5 or 7.3), .h5, .npy, .npz of one array, or .tif with a page for each picture.
         depths: number of depths.
-        names: arrays of a MATLAB or HDF5 file, one for both channels or one for each; by default the only array of 3
-            or 4 axes.
-
-    Returns:
-        Shape (channels, depths, rows, columns), first row as in the file.
+        names: arrays of a MATLAB or HDF5 file, one for both channels or one for each; by default the only array of 3 or
+            4 axes.
 
     Raises:
         InputError: the file cannot be read, is too large, or holds no such stack of finite real numbers.
@@ -64,11 +61,7 @@ def read_stack(path: Path, depths: int, names: Sequence[str] = ()) -> FloatArray
 def read_depths(path: Path) -> FloatArray:
     """Read depths from a .npy file, or from a text file of numbers separated by commas, blanks or lines (# comments).
 
-    Returns:
-        Shape (n,), in the file's order and units.
-
-    Raises:
-        InputError: the file cannot be read, or holds something other than numbers.
+    Shape (n,), in the file's order and units. InputError if it cannot be read, or holds something other than numbers.
     """
     if path.suffix.lower() == ".npy":
         values = read_array(path)

@@ -34,14 +34,9 @@ def make_unit_cell(
 ) -> UnitCell:
     """Make a unit cell; InputError with all faults.
 
-    Args:
-        period_nm: lattice period, or (x, y).
-        pillar: refractive index n + ik, or the name of a material record; likewise ``substrate`` and ``ambient``.
-        sizes_nm: smallest and largest width and length of a pillar.
-        size_grid_nm: step of the sizes.
-        side: side from which the light comes.
-        shape: cross-section of the pillar.
-        target_error: largest error of complex t in a library of the cell.
+    ``period_nm`` is one number or (x, y); ``pillar``, ``substrate`` and ``ambient`` are refractive indices n + ik, or
+    names of material records. ``sizes_nm`` are the smallest and largest width and length of a pillar, ``size_grid_nm``
+    their step. ``side`` is where the light comes from; ``target_error`` is the largest error of complex t in a library.
     """
     table = {
         "cell": {"period_nm": period_nm, "height_nm": height_nm, "shape": shape, "lattice": lattice},

@@ -98,12 +98,8 @@ def capture(
 ) -> Iterator[tuple[RawFrame, Path]]:
     """Simulate the frames of a scene through a stored PSF pair, write each and yield it with its path.
 
-    Args:
-        path: file of a single frame; several get numbers from 1. An ``.h5`` holds electrons and the truth; a TIFF, PNG
-            or NumPy file holds whole counts, as a camera writes them.
-        frames: number of frames.
-        seed: seed of the noise; that of the scene by default.
-        black: black level of files in counts.
+    Several frames get numbers from 1. An ``.h5`` holds electrons and the truth; a TIFF, PNG or NumPy file holds whole
+    counts over ``black``, as a camera writes them. ``seed`` of the noise is that of the scene by default.
     """
     from metafab import camera, optics
 
@@ -128,16 +124,10 @@ def capture_batch(
     seed: int | None = None,
     progress: Progress = silent,
 ) -> CaptureFigures:
-    """Simulate frames of scenes through a stored PSF pair, with textures and noise of their own, into one file.
+    """Simulate frames of scenes through a stored PSF pair, with textures and noise of their own, into one ``.h5`` file.
 
-    Args:
-        scenes: scenes with their files, of one field.
-        path: an ``.h5`` file.
-        draws: frames of each scene.
-        seed: seed of the first frame; that of the first scene by default. Each next frame has the next seed.
-
-    Raises:
-        InputError: a scene does not fit the pair, or the scenes have unlike fields; nothing is written.
+    Each scene has ``draws`` frames; ``seed`` is that of the first frame (default: of the first scene), and each next
+    frame has the next one. InputError if a scene does not fit the pair, or the fields are unlike; nothing is written.
     """
     from metafab import camera, optics
 

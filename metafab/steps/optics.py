@@ -161,8 +161,7 @@ def _over_depth(psf: Psf, chosen: NDArray[np.bool_], prefix: str = "") -> dict[s
 def calibration_depths(design: Design, imaging: Imaging, target_error: float | None = None) -> tuple[float, ...]:
     """Depths of the PSF stack: the verified depths, and interpolation nodes over the range of the scene.
 
-    Args:
-        target_error: largest relative L2 error of interpolation; that of ``[verify]`` by default.
+    ``target_error`` is the largest relative L2 error of interpolation; that of ``[verify]`` by default.
     """
     from metafab import optics
 

@@ -147,8 +147,7 @@ class DepthDecoder:
     def depth_m(self, pair: FloatArray) -> FloatArray:
         """Return the depths of points from their images, shape (2, n_depth, n, n).
 
-        Returns:
-            Shape (n_depth,); NaN where the correlation is largest at an end of the trial depths.
+        Shape (n_depth,); NaN where the correlation is largest at an end of the trial depths.
         """
         vergence = 1.0 / self.trial_m
         depths = []

@@ -200,11 +200,9 @@ class Waves:
 
 
 def _numbers(most: int, even: bool | None) -> Iterator[FloatArray]:
-    """(number m, phase) of cos(k x - phase) along an axis, of TM and of TE waves, shape (n, 2) each.
+    """(number m, phase) of cos(k x - phase) along an axis, of TM and of TE waves, shape (n, 2) each, m to ``most``.
 
-    Args:
-        most: largest m.
-        even: parity of the scalar of TM waves; that of TE waves has the other one. None for both.
+    ``even`` is the parity of the scalar of TM waves; that of TE waves has the other one. None for both.
     """
     both = (0.0, 0.5 * math.pi)
     for parity in (even, None if even is None else not even):

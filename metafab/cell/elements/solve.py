@@ -48,15 +48,10 @@ class ElementNumerics:
 
 
 def supercell_orders(supercell: Supercell, numerics: ElementNumerics = ElementNumerics()) -> SupercellOrders:
-    """Transmitted orders for both incident polarisations.
+    """Transmitted orders of a row along x or along y, or of a block, for both incident polarisations.
 
-    Args:
-        supercell: a row along x or along y, or a block.
-        numerics: target error and resolutions. A target that the finest one misses is told by the error.
-
-    Raises:
-        InputError: pillars that touch, or a block of too many functions.
-        SolverError: the amplitudes are not finite.
+    A target that the finest resolution misses is told by the error. InputError for pillars that touch, or a block of
+    too many functions; SolverError if the amplitudes are not finite.
     """
     start = time.perf_counter()
     t, error = _converged(supercell, POLARISATIONS, numerics)
@@ -68,14 +63,7 @@ def solve_supercell(
 ) -> SupercellResponse:
     """Transmitted orders for one incident polarisation, and each pillar in its own periodic cell.
 
-    Args:
-        supercell: a row along x or along y, or a block.
-        polarisation: of the incident wave.
-        numerics: target error and resolutions.
-
-    Raises:
-        InputError: as :func:`supercell_orders`.
-        SolverError: as :func:`supercell_orders`.
+    Errors as :func:`supercell_orders`.
     """
     start = time.perf_counter()
     axis, cells = POLARISATIONS.index(polarisation), supercell.periodic_cells()
@@ -96,14 +84,8 @@ def solve_supercell(
 def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: float) -> ComplexArray:
     """E_x and E_y of each transmitted order at one resolution, shape (n_orders, 2, len(lights)).
 
-    Args:
-        supercell: a row along x or along y, or a block.
-        lights: incident polarisations.
-        resolution: polynomial order of an element far smaller than the wavelength.
-
-    Raises:
-        InputError: as :func:`supercell_orders`.
-        SolverError: as :func:`supercell_orders`.
+    ``resolution`` is the polynomial order of an element far smaller than the wavelength, ``lights`` the incident
+    polarisations. Errors as :func:`supercell_orders`.
     """
     if supercell.shape[1] == 1 < supercell.shape[0]:
         turned = orders_at(supercell.exchanged(), [other_light(light) for light in lights], resolution)
@@ -122,18 +104,9 @@ def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: 
 def scattered_by_row(supercell: Supercell, light: Polarisation, resolution: float) -> ComplexArray:
     """Reflected and transmitted orders of a row along x, with the polarisation of the light, at one resolution.
 
-    Args:
-        supercell: one row along x.
-        light: incident polarisation.
-        resolution: as in :func:`orders_at`.
-
-    Returns:
-        Shape (2, n_orders), amplitudes over the incident E: of the orders that return into the substrate, then of those
-        that leave behind the pillars. Both are the orders that propagate behind the pillars.
-
-    Raises:
-        InputError: as :func:`supercell_orders`.
-        SolverError: as :func:`supercell_orders`.
+    Shape (2, n_orders), amplitudes over the incident E: of the orders that return into the substrate, then of those
+    that leave behind the pillars. Both are the orders that propagate behind the pillars. Errors as
+    :func:`supercell_orders`.
     """
     order, axis = supercell.propagating_orders(light), POLARISATIONS.index(light)
     with one_thread():
@@ -190,11 +163,7 @@ def _converged(
 
 
 def _feasible(supercell: Supercell, resolutions: tuple[float, ...]) -> list[float]:
-    """The resolutions whose layers have few enough functions, or two coarser ones.
-
-    Raises:
-        InputError: even those have too many.
-    """
+    """The resolutions whose layers have few enough functions, or two coarser ones; InputError if even they do not."""
 
     def count(resolution: float) -> int:
         turned = supercell.exchanged() if supercell.shape[1] == 1 else supercell
@@ -236,11 +205,7 @@ class FaceSystem:
 
 
 def face_system(layer: Layer, supercell: Supercell, lights: Sequence[Polarisation]) -> FaceSystem:
-    """Equations of a layer between its half spaces; the lights see one index of each.
-
-    Raises:
-        SolverError: the layer is singular.
-    """
+    """Equations of a layer between its half spaces, one index of each for all lights; SolverError if it is singular."""
     cell = supercell.cell
     axis = POLARISATIONS.index(lights[0])
     near, far = (layer.admittance(complex(permittivity(n[axis])), cell.k0_per_nm) for n in (cell.n_in, cell.n_out))

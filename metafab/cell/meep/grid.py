@@ -128,13 +128,8 @@ def plan(
 ) -> Plan:
     """FDTD run of one polarisation; light from either half space travels along +z, and the pillar begins at z = 0.
 
-    Args:
-        grids: grids from :func:`family`.
-        polarisation: of the incident wave.
-        member: resolution, in multiples of the coarsest.
-        decay: see :class:`Job`.
-        longest_time: see :class:`Job`.
-        shift_nodes: pixels by which both monitors move outwards; t and r do not depend on it.
+    ``grids`` are of :func:`family`, ``member`` is the resolution in multiples of the coarsest, and both monitors move
+    outwards by ``shift_nodes`` pixels; t and r do not depend on it. ``decay`` and ``longest_time``: see :class:`Job`.
     """
     n_x, n_y = (2 * member * count for count in grids.period)
     pixel = cell.period_nm[0] * 1e-3 / n_x

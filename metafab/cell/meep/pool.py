@@ -69,14 +69,8 @@ class Pool:
     def run(self, job: Job, report: Callable[[float], None] | None = None) -> Reply:
         """Run one job on a free worker, waiting for one if need be, unless its reply was kept.
 
-        ``report`` is called with the simulated time in um / c.
-
-        Returns:
-            The worker's arrays, and ``seconds``, the time of the run when it was made.
-
-        Raises:
-            SolverError: as :meth:`Worker.run`.
-            MissingToolError: no interpreter has Meep.
+        ``report`` is called with the simulated time in um / c. Returns the worker's arrays, and ``seconds``, the time
+        of the run when it was made. SolverError as :meth:`Worker.run`; MissingToolError if no interpreter has Meep.
         """
         with self._slots:
             kept = self._kept(job)
@@ -95,12 +89,7 @@ class Pool:
             return reply
 
     def run_to_decay(self, job: Job, report: Callable[[float], None] | None = None) -> Reply:
-        """Run one job whose fields must decay within its longest time; arguments and result as of :meth:`run`.
-
-        Raises:
-            SolverError: the fields did not decay, or as :meth:`run`.
-            MissingToolError: no interpreter has Meep.
-        """
+        """Run one job whose fields must decay within its longest time, else SolverError; otherwise as :meth:`run`."""
         reply = self.run(job, report)
         if not np.isfinite(reply["tail"]):
             periods = job.longest_time / job.wavelength_um

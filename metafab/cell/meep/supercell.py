@@ -121,15 +121,8 @@ def refined_orders(
     and limits are worse (0.11 to 0.43 on a row of three pillars, whose finest grid of 24 pixels was off by 0.09). The
     error is the step from the finest grid to that limit, and what is left of the fields.
 
-    Args:
-        pixels_per_period: two or more grids, ascending (:class:`SupercellSettings`).
-        decay: as in :class:`SupercellSettings`.
-        pool: workers; by default a pool that lives as long as this process.
-
-    Raises:
-        InputError: the solver does not treat the cell, or a grid does not fit.
-        MissingToolError: no interpreter has Meep.
-        SolverError: a worker failed, or the fields did not decay.
+    ``pixels_per_period`` are two or more grids, ascending, ``decay`` that of :class:`SupercellSettings`. ``pool`` and
+    errors as in :func:`solve_supercell`.
     """
     if len(pixels_per_period) < 2 or any(fine <= coarse for coarse, fine in pairwise(pixels_per_period)):
         expected, got = "two or more numbers, ascending", f"{tuple(pixels_per_period)}"

@@ -180,16 +180,9 @@ def solve(
     """Solve ``cell`` for its Jones matrices, with a bound on their error that is at most the target if it converged.
 
     The truncation rises up to ``numerics.max_orders``. If the target is not met there, the finest solution is returned
-    with ``converged`` false and the error that it has.
-
-    Args:
-        cell: the cell.
-        numerics: target error and largest truncation.
-        known: truncations of this cell by (cosines, steps), which are taken from there and added; for several targets.
-
-    Raises:
-        InputError: as :func:`metafab.cell.rcwa.jones.zero_order`.
-        SolverError: an amplitude is not a finite number.
+    with ``converged`` false and the error that it has. ``known`` holds truncations of this cell by (cosines, steps),
+    which are taken from there and added; for several targets. InputError as :func:`metafab.cell.rcwa.jones.zero_order`;
+    SolverError if an amplitude is not a finite number.
     """
     started = time.perf_counter()
     cut = slicing(cell, numerics)

@@ -49,9 +49,8 @@ class SolvedClass:
     def shares_of_power(self) -> tuple[FloatArray, FloatArray]:
         """Transmitted and reflected power of each coefficient over the incident power, 0 where no light comes in.
 
-        Returns:
-            Two arrays of shape (n, 2), for incident x and y. Only the sum of the two waves of one wave vector has a
-            meaning.
+        Two arrays of shape (n, 2), for incident x and y. Only the sum of the two waves of one wave vector has a
+        meaning.
         """
 
         def across(waves: Waves, field: ComplexArray) -> FloatArray:

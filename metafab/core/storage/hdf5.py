@@ -33,12 +33,9 @@ def create(
 ) -> Iterator[h5py.File]:
     """Create an HDF5 file that appears under ``path`` only if the block succeeds.
 
-    Args:
-        path: final name.
-        kind: kind of content, such as ``"metafab library"``; readers refuse other kinds.
-        format_version: version of this kind's layout.
-        inputs_sha256: fingerprint of all inputs of the content.
-        streamed: whether the file is built on the disk and not in memory; test :func:`require_space` before each write.
+    Readers of another ``kind``, such as ``"metafab library"``, refuse it. ``format_version`` is of this kind's layout,
+    ``inputs_sha256`` the fingerprint of all inputs of the content. If ``streamed``, the file is built on the disk and
+    not in memory; test :func:`require_space` before each write.
     """
     # In memory by default: on a full disk the HDF5 library aborts the process, Python's own write raises.
     with whole_file(path) as part:
@@ -76,18 +73,11 @@ def put(
     dims: Sequence[str] = (),
     compress: bool = False,
 ) -> h5py.Dataset:
-    """Store an array with its units, a one-line description and, by name, its dimension scales.
+    """Store an array with its units ("1" for pure numbers), a one-line description and its dimension scales.
 
-    Args:
-        group: where the dataset is created.
-        name: name of the dataset.
-        data: array of any shape; text is stored as bytes.
-        units: physical unit, "1" for pure numbers.
-        description: one line.
-        dims: names of the axes. A dataset of ``group``, or else of the next group above, with such a name becomes the
-            scale of that axis; ``dims=(name,)`` makes the dataset itself a scale. xarray requires scales on all axes or
-            none.
-        compress: whether to deflate.
+    Text is stored as bytes. ``dims`` names the axes: a dataset of ``group``, or else of the next group above, with such
+    a name becomes the scale of that axis; ``dims=(name,)`` makes the dataset itself a scale. xarray requires scales on
+    all axes or none.
     """
     array = np.asarray(data)
     if array.dtype.kind == "U":
@@ -142,9 +132,8 @@ def _scale(dataset: h5py.Dataset, group: h5py.Group, dims: Sequence[str]) -> Non
 def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) -> Iterator[h5py.File]:
     """Open an existing file of a kind for reading.
 
-    Raises:
-        InputError: the file is missing, truncated, not HDF5, of another kind, of a newer format, or refused by
-            :func:`require_modest`.
+    InputError if it is missing, truncated, not HDF5, of another kind, of a newer format, or refused by
+    :func:`require_modest`.
     """
     path, expected = Path(path), f"a {kind} file (HDF5, format {format_version} or older)"
     if not path.is_file():
@@ -177,20 +166,14 @@ def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) 
 
 
 def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None = None) -> None:
-    """Check links, types and sizes of a file before any array is read.
+    """Check links, types and sizes of a file, or of the datasets of these absolute names, before any array is read.
 
-    A small file can claim large arrays that were never written or that deflate to almost nothing. A file of up to
-    10 MB may hold 768 MiB of arrays, a larger file 64 more bytes for each of its own, unless the limit ``memory_mb`` is
+    A small file can claim large arrays that were never written or that deflate to almost nothing. A file of up to 10 MB
+    may hold 768 MiB of arrays, a larger file 64 more bytes for each of its own, unless the limit ``memory_mb`` is
     stated.
 
-    Args:
-        file: an open file.
-        path: its path, for the message.
-        names: absolute names of the datasets that will be read; None for all of the file.
-
-    Raises:
-        InputError: a link or dataset whose content lies outside the file or is computed, an array that is no array of
-            numbers or bytes, more bytes than the budget, or hostile chunks.
+    InputError for a link or dataset whose content lies outside the file or is computed, an array that is no array of
+    numbers or bytes, more bytes than the budget, or hostile chunks.
     """
     file_bytes = path.stat().st_size
     most = limit("memory_mb", (_BUDGET_BYTES + _EXPANSION * max(0, file_bytes - _SMALL_FILE_BYTES)) / 1e6)

@@ -24,27 +24,16 @@ _REMEDY = "save it as a grey TIFF, PNG or .npy of shape (rows, columns)"
 
 
 def read_grey(path: Path) -> FloatArray:
-    """Read a picture as floats, shape (rows, columns), first row as in the file; colours are averaged.
-
-    Raises:
-        InputError: the file cannot be read, or is no picture.
-    """
+    """Read a picture (else InputError) as floats, (rows, columns), first row as in the file; colours are averaged."""
     return read_counts(path, colours=True)[0]
 
 
 def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float | None]:
-    """Read a grey picture and its saturation level.
+    """Read a grey picture (.tif, .tiff, .png, .npy, or .npz of one array) and its saturation level.
 
-    Args:
-        path: .tif, .tiff, .png or .npy, or an .npz of one array.
-        colours: whether colours are averaged; otherwise they are refused.
-
-    Returns:
-        The values, shape (rows, columns), first row as in the file; and the count at which the file type saturates,
-        None for floats. 12-bit counts are not rescaled.
-
-    Raises:
-        InputError: the file cannot be read, or is no grey picture.
+    The values have shape (rows, columns), first row as in the file; the level is the count at which the file type
+    saturates, None for floats. 12-bit counts are not rescaled. Colours are averaged with ``colours``, else refused.
+    InputError if the file cannot be read, or is no grey picture.
     """
     values = read_array(path)
     if values.ndim == 3 and colours:
@@ -60,11 +49,8 @@ def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float
 def read_array(path: Path) -> np.ndarray:
     """Read the array of a picture file, of any shape and type: the pages of a TIFF are its first axis.
 
-    Args:
-        path: .tif, .tiff, .png or .npy, or an .npz of one array; at most 2**26 values, or what ``memory_mb`` allows.
-
-    Raises:
-        InputError: the file cannot be read.
+    The file is .tif, .tiff, .png or .npy, or an .npz of one array, of at most 2**26 values, or what ``memory_mb``
+    allows; else InputError.
     """
     kind = _SUFFIXES.get(path.suffix.lower())
     if kind is None:
@@ -138,11 +124,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def require_few(path: Path, *shape: int) -> None:
-    """Refuse a picture or stack by the shape in its header, before it is decoded.
-
-    Raises:
-        InputError: it has more values than the limit ``memory_mb`` holds.
-    """
+    """Refuse (InputError) a picture whose header states more values than ``memory_mb`` holds, before it is decoded."""
     most_mb = limit("memory_mb", _MOST_SAMPLES * _BYTES_OF_A_SAMPLE / 1e6)
     if math.prod(shape) * _BYTES_OF_A_SAMPLE > 1e6 * most_mb:
         expected = f"at most {1e6 * most_mb / _BYTES_OF_A_SAMPLE:.3g} values"

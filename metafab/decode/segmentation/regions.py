@@ -97,14 +97,9 @@ class Regions:
         return vergence
 
     def bands(self, label: NDArray[np.int32], step_per_m: float) -> tuple[NDArray[np.int32], FloatArray]:
-        """Cut tilted segments into bands of one depth.
+        """Cut tilted segments into bands of one depth, ``step_per_m`` of vergence apart; ``label`` counts from 1.
 
-        Args:
-            label: shape (n_y, n_x), numbers of the segments from 1.
-            step_per_m: vergence from one band to the next.
-
-        Returns:
-            Number of each pixel's band from 1, shape (n_y, n_x), and 1/depth of each band, shape (n_bands,).
+        Returns the number of each pixel's band from 1, shape (n_y, n_x), and 1/depth of each band, (n_bands,).
         """
         if not any(depth.plane.tilted for depth in self.depths):
             return label, np.array([depth.vergence_per_m for depth in self.depths])
@@ -233,11 +228,7 @@ def with_small_objects(regions: Regions, found: Sequence[SmallObject], volume: C
 
 
 def with_owners(regions: Regions, owner: NDArray[np.int32]) -> Regions:
-    """Segments with new outlines, and the depths of before; pixels without a segment stay without one.
-
-    Args:
-        owner: shape (n_y, n_x), number of each pixel's segment.
-    """
+    """Segments of the depths of before with new outlines: ``owner`` is each pixel's segment or none, (n_y, n_x)."""
     grown_label = np.where(regions.grown > 0, owner, 0).astype(np.int32)
     kept = (regions.label > 0) | (grown_label != regions.grown)
     return replace(

@@ -29,15 +29,8 @@ _BLOCK_SHARE = 0.5
 def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
     """Transmitted orders of a supercell by the library's model of neighbours.
 
-    Args:
-        library: library with a model of neighbours.
-        supercell: pillars within the library's sizes.
-
-    Returns:
-        Amplitudes of both incident polarisations, without cross-polarised light.
-
-    Raises:
-        InputError: the library holds no model of neighbours, or a site has no pillar or one outside its sizes.
+    Amplitudes of both incident polarisations, without cross-polarised light. InputError if the library holds no such
+    model, or a site has no pillar or one outside its sizes.
     """
     start = time.perf_counter()
     neighbours = require_neighbours(library)
@@ -76,11 +69,7 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
 
 
 def require_neighbours(library: Library) -> Neighbours:
-    """The library's model of neighbours.
-
-    Raises:
-        InputError: it has none.
-    """
+    """The library's model of neighbours; InputError if it has none."""
     if library.neighbours is not None:
         return library.neighbours
     remedy = "build the library from a unit cell with a table `[neighbours]`, or use the solver rcwa, meep or lone"
@@ -90,15 +79,9 @@ def require_neighbours(library: Library) -> Neighbours:
 
 
 def block_corrections(neighbours: Neighbours, size_nm: FloatArray, axis: int) -> ComplexArray:
-    """Corrections of the field of a periodic block by its rows and by its columns.
+    """Corrections of the field of a periodic block by its rows along x and by its columns, shape (2, n_y, n_x).
 
-    Args:
-        neighbours: chains of the library.
-        size_nm: shape (n_y, n_x, 2), (width, length).
-        axis: polarisation, 0 for x and 1 for y.
-
-    Returns:
-        Shape (2, n_y, n_x): by the rows along x, and by those along y.
+    ``size_nm`` is (width, length), shape (n_y, n_x, 2); ``axis`` is the polarisation, 0 for x and 1 for y.
     """
     light = POLARISATIONS[axis]
     corrections = np.zeros((2, *size_nm.shape[:2]), dtype=np.complex128)

@@ -82,31 +82,17 @@ class SizeTables:
 
 
 def open_line_corrections(tables: SizeTables, size_index: IndexArray) -> ComplexArray:
-    """t_m - t(s_m) of lines whose ends have no neighbours.
-
-    Args:
-        tables: tables of the sizes.
-        size_index: shape (lines, sites), sizes of the pillars.
-
-    Returns:
-        Shape (lines, sites), complex128.
-    """
+    """t_m - t(s_m) of lines whose ends have no neighbours, by ``size_index``; complex128, shape (lines, sites) both."""
     return _solved(tables, size_index, np.zeros((2, 0, 0), dtype=np.float64))[0]
 
 
 def open_line_slopes(
     tables: SizeTables, size_index: IndexArray, weight: ComplexArray
 ) -> tuple[ComplexArray, FloatArray]:
-    """:func:`open_line_corrections`, and the derivatives of their weighted sum by the size of each pillar.
+    """:func:`open_line_corrections`, and the derivatives of F, their sum by ``weight``, by the size of each pillar.
 
-    Args:
-        tables: tables of the sizes.
-        size_index: shape (lines, sites), sizes of the pillars.
-        weight: shape (lines, sites), w of the sum; 0 where no pillar stands.
-
-    Returns:
-        Corrections, shape (lines, sites), and derivatives of Re F by the size along and across the line, shape (lines,
-        sites, 2), per nm.
+    ``weight`` is 0 where no pillar stands. Corrections and weights have shape (lines, sites); derivatives of Re F by
+    the size along and across the line, per nm, shape (lines, sites, 2).
     """
     return _solved(tables, size_index, _parts(weight))
 

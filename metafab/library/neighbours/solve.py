@@ -37,14 +37,9 @@ def line_corrections(model: LineModel, terms: FloatArray) -> ComplexArray:
 
 
 def scattered_corrections(model: LineModel, terms: FloatArray) -> ComplexArray:
-    """r_m - r(s_m) and t_m - t(s_m) of closed lines.
+    """r_m - r(s_m) and t_m - t(s_m) of closed lines, shape (2, ..., n).
 
-    Args:
-        model: parameters.
-        terms: shape (..., n, terms), polynomial values of each site.
-
-    Returns:
-        Shape (2, ..., n).
+    ``terms`` holds polynomial values of each site, shape (..., n, terms).
     """
     count, modes, even = terms.shape[-2], model.shape.modes, model.shape.even
     source = np.zeros((*terms.shape[:-1], modes), dtype=np.complex128)
@@ -61,14 +56,9 @@ def scattered_corrections(model: LineModel, terms: FloatArray) -> ComplexArray:
 
 
 def corrections_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """:func:`scattered_corrections` and their derivatives by :attr:`LineModel.vector`.
+    """:func:`scattered_corrections` and their derivatives by :attr:`LineModel.vector`, of n parameters.
 
-    Args:
-        model: parameters, n of them.
-        terms: shape (lines, sites, terms), polynomial values of each site.
-
-    Returns:
-        Shapes (2, lines, sites) and (2, lines, sites, n).
+    ``terms``: shape (lines, sites, terms). Shapes (2, lines, sites) and (2, lines, sites, n).
     """
     lines, count, _ = terms.shape
     modes, even, parity = model.shape.modes, model.shape.even, model.shape.parity
@@ -129,12 +119,7 @@ def _gathered(
 def _uniform_jacobian(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray]:
     """Light of lines of equal pillars, reflected and transmitted, and its derivatives by :attr:`LineModel.vector`.
 
-    Args:
-        model: parameters, n of them.
-        terms: shape (lines, sites, terms), polynomial values of each size.
-
-    Returns:
-        Shapes (2, lines, sites) and (2, lines, sites, n).
+    Arguments and shapes as :func:`corrections_and_jacobian`.
     """
     shape, even = model.shape, model.shape.even
     amplitude, inverse, taps = _uniform_amplitude(model, terms)

@@ -108,13 +108,10 @@ def sample_corners(
     tolerance: float,
     numerics: CornerNumerics = CornerNumerics(),
 ) -> Corners:
-    """Solve cells until the model's error estimate is within the tolerance almost everywhere in the box.
+    """Solve cells of the sequence until the model's estimated error is within the tolerance almost all over the box.
 
-    Args:
-        grid: sizes of the nominal library.
-        sequence: cells to choose from.
-        nominal: answers of the nominal library by number.
-        solve_points: solves cells of the sequence by checkpoint number.
+    ``grid`` holds the sizes of the nominal library and ``nominal`` its answers by number; ``solve_points`` solves by
+    checkpoint number.
     """
     dimensions = sequence.place.shape[1]
     most, nominal_count = numerics.most_cells * dimensions, len(nominal)

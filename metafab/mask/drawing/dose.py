@@ -87,13 +87,8 @@ class DoseClasses:
 def dose_tables(design: Design, class_dose: FloatArray | None = None) -> dict[str, list[str]]:
     """Dose of each exposed datatype relative to the base dose, as a table and as the shot modulation of JEOL writers.
 
-    Args:
-        design: copies with their doses, datatypes.
-        class_dose: shape (classes,), dose of each class; None if it is not known, so that the table holds the copies'
-            doses alone.
-
-    Returns:
-        Lines of each of :data:`DOSE_TABLES`; empty where no dose is known.
+    ``class_dose`` is the dose of each class, shape (classes,); None if not known: the table holds the copies' doses
+    alone. Returns lines of each of :data:`DOSE_TABLES`; empty where no dose is known.
     """
     mask = design.mask
     if class_dose is None and mask.doses == (1.0,):

@@ -81,10 +81,9 @@ def put_signed(out: ByteArray, position: int, value: int) -> int:
 
 @compiled
 def read_unsigned(data: ByteArray, position: int) -> tuple[int, int]:
-    """Read an unsigned integer from ``data``, shape (n,), at ``position``.
+    """Read an unsigned integer from ``data``, shape (n,), at ``position``; return it and the position behind it.
 
-    Returns:
-        The value and the position behind it; -1 if the data end or the integer has more than 63 bits.
+    The position is -1 if the data end or the integer has more than 63 bits.
     """
     value, shift = 0, 0
     while position < len(data) and shift <= 56:
@@ -99,15 +98,10 @@ def read_unsigned(data: ByteArray, position: int) -> tuple[int, int]:
 
 @compiled
 def read_displacement(data: ByteArray, position: int, form: int) -> tuple[int, int, int]:
-    """Read a displacement from ``data``, shape (n,), at ``position``.
+    """Read a displacement from ``data``, shape (n,), at ``position``; return x, y and the position behind.
 
-    Args:
-        data: bytes.
-        position: where the displacement begins.
-        form: 0 for a spacing along x, 1 along y, 2 for a g-delta (one of eight directions, or any).
-
-    Returns:
-        x, y, and the position behind; -1 if the data end.
+    ``form`` is 0 for a spacing along x, 1 along y, 2 for a g-delta (one of eight directions, or any). The position is
+    -1 if the data end.
     """
     first, position = read_unsigned(data, position)
     if position < 0:
@@ -134,17 +128,9 @@ def _along(direction: int, length: int) -> tuple[int, int]:
 
 @compiled
 def read_moves(data: ByteArray, position: int, kind: int, moves: IntArray) -> int:
-    """Read the displacements of a point list.
+    """Read the displacements of a point list into ``moves``, shape (m, 2); return the position behind, -1 if data end.
 
-    Args:
-        data: bytes, shape (n,).
-        position: where they begin.
-        kind: type of the list: 0 and 1 alternate between x and y, 2 and 3 have four and eight directions, 4 and 5 are
-            g-deltas.
-        moves: shape (m, 2), filled.
-
-    Returns:
-        The position behind; -1 if the data end.
+    Kinds 0 and 1 of lists alternate between x and y, 2 and 3 have four and eight directions, 4 and 5 are g-deltas.
     """
     for item in range(len(moves)):
         if kind > 3:
@@ -164,16 +150,9 @@ def read_moves(data: ByteArray, position: int, kind: int, moves: IntArray) -> in
 
 @compiled
 def read_displacements(data: ByteArray, position: int, form: int, offsets: IntArray) -> int:
-    """Read the list of a repetition.
+    """Read the list of a repetition into ``offsets``, shape (m, 2), from its second row on; its first row is left.
 
-    Args:
-        data: bytes, shape (n,).
-        position: where the list begins.
-        form: as in :func:`read_displacement`.
-        offsets: shape (m, 2), filled from the second row on; the first row is left.
-
-    Returns:
-        The position behind the list; -1 if the data end.
+    ``form`` is that of :func:`read_displacement`. Return the position behind the list; -1 if the data end.
     """
     x, y = 0, 0
     for item in range(1, len(offsets)):
@@ -253,25 +232,16 @@ class Copies:
 
 
 def checked_place(x: int, y: int) -> tuple[int, int]:
-    """Return a position, (x, y) in database units.
-
-    Raises:
-        DamagedError: it lies farther out than any mask reaches.
-    """
+    """Return a position, (x, y) in database units; DamagedError if it lies farther out than any mask reaches."""
     if max(abs(x), abs(y)) > _LARGEST_PLACE:
         raise DamagedError(f"a position at {x}, {y} database units")
     return x, y
 
 
 class Stream:
-    """A buffer and a position in it; each method reads one element and moves the position.
+    """The bytes of a file or of an inflated block, and a position in them; each method reads an element and moves on.
 
-    Args:
-        data: shape (n,), bytes of the file or of an inflated block.
-        position: where to start.
-
-    Raises:
-        DamagedError: from its methods, where the data end or hold no such element.
+    DamagedError from its methods, where the data end or hold no such element.
     """
 
     def __init__(self, data: ByteArray, position: int = 0) -> None:

@@ -16,11 +16,10 @@ _SAMPLES, _SAMPLES_PER_RAD, _MOST_SAMPLES = 192, 6.0, 1024
 
 
 def modulation_transfer(psf: Psf) -> tuple[FloatArray, FloatArray]:
-    """Return the MTF averaged over azimuth, of the light in the window.
+    """Return the MTF averaged over azimuth, of the light in the window: frequencies and moduli.
 
-    Returns:
-        Mean frequency of each ring, shape (n_frequency,), cycles per um from 0 to half the sampling rate; and the mean
-        modulus of the spectrum over its value at 0, shape (2, n_depth, n_frequency).
+    The mean frequency of each ring, shape (n_frequency,), cycles per um from 0 to half the sampling rate; and the mean
+    modulus of the spectrum over its value at 0, shape (2, n_depth, n_frequency).
     """
     n_y, n_x = psf.psf.shape[2:]
     spectrum = np.abs(np.fft.fft2(psf.psf))

@@ -79,25 +79,15 @@ def band_irradiance(
     window_px: int,
     target_error: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the irradiance over the band of a filter about the image point of the middle wavelength.
+    """Return the irradiance over the band of a filter about the image point of the middle wavelength, and its errors.
 
-    Wavelengths are added one by one in Leja order. The remaining interpolation error is extrapolated as a geometric
-    series from the last changes of the sum.
+    Wavelengths are added one by one in Leja order until the relative L2 error is ``target_error``. The remaining
+    interpolation error is extrapolated as a geometric series from the last changes of the sum. ``imaging`` is that of
+    the middle of the band, ``filter_fwhm_nm`` the full width of a flat top, ``polarisation`` 0 for x and 1 for y.
 
-    Args:
-        monochromatic: computes images of one wavelength.
-        imaging: geometry in the middle of the band.
-        polarisation: 0 for x, 1 for y.
-        filter_fwhm_nm: full width of the flat-top filter.
-        window_px: points along a side of the window.
-        target_error: relative L2 error at which no more wavelengths are added.
-
-    Returns:
-        Images, shape (n_depth, n, n), and the errors (relative L2) of the depths that ``monochromatic`` judges: the
-        largest of the judged wavelengths plus that of the interpolation.
-
-    Raises:
-        InputError: pixels too coarse for shifts by a fraction of a pixel.
+    Images have shape (n_depth, n, n), n = ``window_px``; the errors are of the depths that ``monochromatic`` judges:
+    the largest of the judged wavelengths plus that of the interpolation. InputError for pixels too coarse for shifts by
+    a fraction of a pixel.
     """
     _require_fine_pixels(imaging, polarisation, tangent)
     half_um = 0.5e-3 * filter_fwhm_nm
