@@ -1,10 +1,9 @@
 """Why the made lens sends 0.4454 and 0.4393 of the light through a pinhole, with an extinction ratio of 35.6.
 
-The light of a mask is the target wave times c, plus a rest that hardly enters the pinhole: c is the mean over all sites
-of the pillars' amplitude times the conjugate target wave. Sums of the target wave over the sites of each size turn this
-into a sum over a few thousand sizes, so that any bias takes a millisecond. :func:`rows` compares it with
-the propagation of the whole mask. The other factors come from the paper, from full-wave rows of the lens, or are
-unknown and drawn from a stated range.
+The light of the written sizes at any bias and wall angle is that of :mod:`benchmarks.made_lens_sizes`; :func:`rows`
+compares it with the propagation of the whole mask. The other factors come from the paper, from full-wave rows of the
+lens, or are unknown and drawn from a stated range. A bias and a wall angle are excluded where no value of the other
+factors within its range gives the measured efficiency.
 
 ``metafab benchmark made_lens`` prints it; ``python -m benchmarks.made_lens -o FOLDER`` writes ``made_lens.json`` and
 ``made_lens.png``.
@@ -15,37 +14,32 @@ from __future__ import annotations
 import argparse
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import RegularGridInterpolator
+from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
+from scipy.ndimage import gaussian_filter
 
+from benchmarks.made_lens_sizes import SLICES, TABLE_NM, WALLS_DEG, Sizes, SizeSums
 from metafab import layout, library, optics
-from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.conventions import FloatArray
 from metafab.core.parallel.measure import measured
+from metafab.core.parallel.work import Work
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
 from metafab.library.store import load, save
-from metafab.library.use.amplitudes import power_amplitudes
 from metafab.optics.geometry.crystal import Crystal
 from metafab.optics.measures.metrics import pinhole_efficiency
 from metafab.phase import profile_of
-from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design, Substrate, load_design
-from metafab.tolerance import corner_fields
 
 DESIGN = Path(__file__).parents[1] / "layouts" / "helix_2mm.toml"
-#: Wall angles, degrees, of walls that slope and are otherwise as drawn at half height.
-WALLS_DEG = (88.0, 86.0, 84.0)
 #: Bias of both sides, nm, on the grid of the mask's sizes.
 BIAS_NM = np.arange(-30.0, 30.1, 2.0)
-#: Sizes of the library that is solved, nm, its step and error; and of the tables: mask sizes, biased by up to 30 nm.
-_SOLVED_NM, _SOLVED_STEP_NM, _TARGET_ERROR = (70.0, 290.0), 5.0, 1e-2
-_TABLE_NM = np.arange(70.0, 280.1, 2.0)
 #: Wavelength, um, and one micrometre of the substrate's crystal.
 _WAVELENGTH_UM = 0.8
 _CRYSTAL = Crystal(Substrate(thickness_um=1.0, cut="r-plane"), _WAVELENGTH_UM)
@@ -55,6 +49,7 @@ _FILTER_NM, _DEPTH_M = 10.0, 0.30
 RANGES = {
     "neighbours": (0.945, 0.975),  # full-wave rows of the lens: 0.847 / 0.884 = 0.958 and 0.966
     "beam on the aperture": (0.865, 1.0),  # "spot size reduced to match the aperture": 1/e^2 diameter or smaller
+    "wall_deg": (float(WALLS_DEG[0]), 90.0),  # from the horizontal, sizes as drawn at half height; not stated
     "roughness_nm": (0.0, 5.0),  # standard deviation of each pillar's size; not stated in the paper
     "azimuth_deg": (0.0, 45.0),  # rotation of the lens against the crystal; not stated
     "thickness_um": (400.0, 560.0),  # of usual 100 and 150 mm wafers; not stated
@@ -62,49 +57,6 @@ RANGES = {
 #: Reading error of a power meter, relative, standard deviation: an assumption.
 _POWER_ERROR = 0.02
 _DRAWS, _SEED = 400_000, 1
-
-
-@dataclass(frozen=True)
-class SizeSums:
-    """Sums over the sites of each pillar size, which give the light in the target wave."""
-
-    width_nm: FloatArray  #: Shape (n,), distinct sizes.
-    length_nm: FloatArray  #: Shape (n,).
-    count: FloatArray  #: Shape (n,), pillars of each size over the number of sites inside the aperture.
-    wanted: ComplexArray  #: Shape (n, 2), mean over all sites of the conjugate target wave on the sites of each size.
-
-    @classmethod
-    def of(cls, pillars: PillarMap, profile: PhaseProfile, design: Design) -> SizeSums:
-        """Add up the sites of a mask, tile by tile."""
-        sizes = pillars.size_nm()
-        count = np.zeros(len(sizes))
-        real, imag = np.zeros((2, len(sizes), 2))
-        sites, x, y = 0, pillars.lattice.x_um(), pillars.lattice.y_um()
-        for tile in pillars.tiles():
-            n_y, n_x = tile.size_index.shape
-            columns, rows = x[tile.column : tile.column + n_x], y[tile.row : tile.row + n_y]
-            sites += int(design.device.encloses(columns, rows).sum())
-            index, target_rad = tile.size_index.ravel(), profile(columns, rows)
-            count += np.bincount(index, minlength=len(sizes))
-            for p in (0, 1):
-                real[:, p] += np.bincount(index, np.cos(target_rad[p]).ravel(), len(sizes))
-                imag[:, p] -= np.bincount(index, np.sin(target_rad[p]).ravel(), len(sizes))
-        wanted = (real + 1j * imag) / sites
-        return cls(sizes[1:, 0], sizes[1:, 1], count[1:] / sites, wanted[1:])
-
-
-@dataclass(frozen=True)
-class Sizes:
-    """Amplitudes of all sizes that a bias reaches."""
-
-    t: ComplexArray  #: Shape (n_length, n_width, 2), per square root of the flux, on the grid of the table.
-
-    def at(self, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
-        """Amplitudes of sizes on the table's grid (those beyond its ends take its ends), shape (n, 2)."""
-        step = float(_TABLE_NM[1] - _TABLE_NM[0])
-        places = [np.rint((side - _TABLE_NM[0]) / step).astype(int) for side in (length_nm, width_nm)]
-        row, column = (np.clip(place, 0, _TABLE_NM.size - 1) for place in places)
-        return np.asarray(self.t[row, column])
 
 
 @dataclass(frozen=True)
@@ -121,7 +73,7 @@ class PrintedLens:
         cls, sums: SizeSums, sizes: Sizes, bias_x_nm: float = 0.0, bias_y_nm: float = 0.0, roughness_nm: float = 0.0
     ) -> PrintedLens:
         """The lens with a bias of width and length, and an independent normal error of both sides of each pillar."""
-        steps = np.arange(-8, 9) * float(_TABLE_NM[1] - _TABLE_NM[0]) if roughness_nm > 0.0 else np.zeros(1)
+        steps = np.arange(-8, 9) * float(TABLE_NM[1] - TABLE_NM[0]) if roughness_nm > 0.0 else np.zeros(1)
         weight = np.exp(-0.5 * (steps / max(roughness_nm, 1e-9)) ** 2)
         mean, power = np.zeros((2, *sums.wanted.shape), dtype=np.complex128)
         for step, share in zip(steps, weight / weight.sum(), strict=True):
@@ -136,40 +88,6 @@ class PrintedLens:
     def wanted(self) -> float:
         """Mean of both polarisations."""
         return 0.5 * (self.wanted_x + self.wanted_y)
-
-
-def wide_library(design: Design, folder: Path) -> Library:
-    """Library of the unit cell over all sizes that a bias reaches, on the table's grid; kept in ``folder``."""
-    path = folder / "wide.h5"
-    if not path.is_file():
-        cell = design.unit_cell
-        sweep = {"width_nm": _SOLVED_NM, "length_nm": _SOLVED_NM, "size_grid_nm": _SOLVED_STEP_NM}
-        solved = library.build(replace(cell, sweep=replace(cell.sweep, **sweep, target_error=_TARGET_ERROR)))
-        save(solved, path)
-    solved = load(path)
-    there = solved.surface(*np.meshgrid(_TABLE_NM, _TABLE_NM))
-    t = [np.asarray(part)[None] for part in (there.t_xx, there.t_yy)]
-    error = np.asarray(there.error)
-    return replace(
-        solved, width_nm=_TABLE_NM, length_nm=_TABLE_NM, t_xx=t[0], t_yy=t[1], error=error, model_error=error
-    )
-
-
-def all_sizes(wide: Library) -> Sizes:
-    """Table of a library on the table's grid."""
-    width, length = (side.ravel() for side in np.meshgrid(_TABLE_NM, _TABLE_NM))
-    return Sizes(power_amplitudes(wide, width, length).reshape(_TABLE_NM.size, _TABLE_NM.size, 2))
-
-
-def with_slopes(sums: SizeSums, pillars: PillarMap, table: Library) -> dict[float, tuple[float, float]]:
-    """Wanted share with sloped walls and no bias, and the bound of its error by that of the amplitudes, by angle."""
-    written, shares = optics.written_field(pillars, table), {}
-    for angle in WALLS_DEG:
-        corner = corner_fields(written, table, {"sidewall_angle_deg": 90.0 - angle})[0]
-        wanted = np.abs(np.sum(corner.field.table[1:] * sums.wanted, axis=0)) ** 2
-        # First order: all of the amplitudes' error in phase with the wanted wave.
-        shares[angle] = float(wanted.mean()), 2.0 * corner.error * float(wanted.mean())
-    return shares
 
 
 def pinhole_shares(design: Design) -> dict[str, float]:
@@ -210,30 +128,36 @@ class Interval:
 
 @dataclass(frozen=True)
 class Explanation:
-    """Shares of the light of a mask, tabulated over roughness and bias for vertical walls."""
+    """Shares of the light of a mask, tabulated over wall angle, roughness and bias."""
 
+    wall_deg: FloatArray  #: Shape (n_wall,), ascending.
     roughness_nm: FloatArray  #: Shape (n_roughness,), ascending.
     bias_nm: FloatArray  #: Shape (n_bias,), ascending.
-    wanted: FloatArray  #: Shape (n_roughness, n_bias), share in the target wave, of the light inside the substrate.
-    transmitted: FloatArray  #: Shape (n_roughness, n_bias), share behind the pillars.
-    straight: FloatArray  #: Shape (n_roughness, n_bias), share in the zero order.
+    #: Shape (n_wall, n_roughness, n_bias), share in the target wave, of the light inside the substrate.
+    wanted: FloatArray
+    transmitted: FloatArray  #: Share behind the pillars, in the shape of ``wanted``.
+    straight: FloatArray  #: Share in the zero order, in the shape of ``wanted``.
     fixed: float  #: Factor that no draw changes: first face, and target wave through the pinhole over the filter.
 
     @classmethod
-    def of(cls, sums: SizeSums, sizes: Sizes, fixed: float) -> Explanation:
-        """Compute the tables of a mask."""
+    def of(cls, sums: SizeSums, sizes: Sequence[Sizes], fixed: float) -> Explanation:
+        """Compute the tables of a mask from the amplitudes at each wall angle."""
         roughness = np.linspace(*RANGES["roughness_nm"], 5)
-        table = np.empty((3, roughness.size, BIAS_NM.size))
-        for place in np.ndindex(*table.shape[1:]):
-            bias, rough = float(BIAS_NM[place[1]]), float(roughness[place[0]])
-            lens = PrintedLens.of(sums, sizes, bias, bias, rough)
-            table[:, *place] = lens.wanted, lens.transmitted, lens.straight
-        return cls(roughness, BIAS_NM, *table, fixed)
+        table = np.empty((3, WALLS_DEG.size, roughness.size, BIAS_NM.size))
+        for wall, rough, bias in np.ndindex(*table.shape[1:]):
+            at = float(BIAS_NM[bias])
+            lens = PrintedLens.of(sums, sizes[wall], at, at, float(roughness[rough]))
+            table[:, wall, rough, bias] = lens.wanted, lens.transmitted, lens.straight
+        walls = np.arange(WALLS_DEG[0], WALLS_DEG[-1] + 0.1, 0.5)
+        return cls(walls, roughness, BIAS_NM, *PchipInterpolator(WALLS_DEG, table, axis=1)(walls), fixed)
 
-    def at(self, values: FloatArray, roughness_nm: FloatArray, bias_nm: FloatArray) -> FloatArray:
-        """One of the tables between its nodes."""
-        table = RegularGridInterpolator((self.roughness_nm, self.bias_nm), values)
-        return np.asarray(table(np.stack([roughness_nm, bias_nm], axis=-1)))
+    def at(
+        self, values: FloatArray, roughness_nm: FloatArray | float, bias_nm: FloatArray, wall_deg: FloatArray | float
+    ) -> FloatArray:
+        """One of the tables between its nodes, in the shape of ``bias_nm``."""
+        places = np.broadcast_arrays(wall_deg, roughness_nm, bias_nm)
+        table = RegularGridInterpolator((self.wall_deg, self.roughness_nm, self.bias_nm), values)
+        return np.asarray(table(np.stack(places, axis=-1)))
 
     def draws(self, efficiency: float, extinction: float) -> dict[str, FloatArray]:
         """Random causes, and the weight of each: how well it explains the measured efficiency and extinction.
@@ -243,7 +167,7 @@ class Explanation:
         rng = np.random.default_rng(_SEED)
         drawn = {name: rng.uniform(*span, _DRAWS) for name, span in RANGES.items()}
         drawn["bias_nm"] = rng.uniform(self.bias_nm[0], self.bias_nm[-1], _DRAWS)
-        place = (drawn["roughness_nm"], drawn["bias_nm"])
+        place = (drawn["roughness_nm"], drawn["bias_nm"], drawn["wall_deg"])
         ghost = ghost_over_own(drawn["azimuth_deg"], drawn["thickness_um"])
         before = self.fixed * drawn["neighbours"] * drawn["beam on the aperture"] / (1.0 + ghost)
         drawn["efficiency"] = before * self.at(self.wanted, *place)
@@ -253,6 +177,37 @@ class Explanation:
         misfit = (drawn["efficiency"] / efficiency - 1.0) / _POWER_ERROR
         drawn["weight"] = np.exp(-0.5 * misfit**2) * (ghost <= 1.0 / extinction)
         return drawn
+
+    def misfit(self, efficiency: float, extinction: float) -> FloatArray:
+        """Least distance of the measured efficiency from what the other factors' ranges allow, standard deviations.
+
+        Returns:
+            Shape (n_wall, n_bias); 0 where a value of each factor gives the measured efficiency.
+        """
+        factors = [RANGES[name] for name in ("neighbours", "beam on the aperture")]
+        ghost = 1.0 / (1.0 + 1.0 / extinction)
+        low = self.fixed * math.prod(low for low, _ in factors) * ghost * self.wanted.min(axis=1)
+        high = self.fixed * math.prod(high for _, high in factors) * self.wanted.max(axis=1)
+        beyond = np.maximum(np.maximum(low / efficiency - 1.0, 1.0 - high / efficiency), 0.0)
+        return np.asarray(beyond / _POWER_ERROR)
+
+
+def credible(drawn: Mapping[str, FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray, tuple[float, float]]:
+    """Density of the draws over bias and wall angle, and its contours.
+
+    Returns:
+        Edges of the cells along the bias, nm, and along the wall angle, degrees; weight of each cell, shape (n_bias,
+        n_wall); and the least weights of the smallest sets that hold 95 and 68 % of it.
+    """
+    spans = [(BIAS_NM[0], BIAS_NM[-1]), RANGES["wall_deg"]]
+    cells, bias_nm, wall_deg = np.histogram2d(
+        drawn["bias_nm"], drawn["wall_deg"], bins=(60, 24), range=spans, weights=drawn["weight"]
+    )
+    cells = gaussian_filter(cells, 1.0, mode="nearest")
+    ordered = np.sort(cells, axis=None)[::-1]
+    within = np.cumsum(ordered) / ordered.sum()
+    most, least = (float(ordered[np.searchsorted(within, share)]) for share in (0.683, 0.954))
+    return bias_nm, wall_deg, cells, (least, most)
 
 
 def mapped(design: Design, table: Library) -> tuple[SizeSums, PillarMap]:
@@ -268,6 +223,7 @@ class Candidate:
 
     name: str  #: Causes in words: pillars too small or too large, and what else.
     bias_nm: float  #: Printed less drawn size.
+    wall_deg: float  #: Angle of the walls.
     roughness_nm: float  #: Standard deviation of the pillars' sizes.
     beam: float  #: Share of the measured input that falls on the aperture.
     efficiency: float  #: Through the pinhole, over the measured input.
@@ -280,23 +236,26 @@ def candidates(known: Explanation, efficiency: float) -> list[Candidate]:
     """Sets of causes that each explain a measured efficiency; other factors are in the middle of their ranges."""
     found, neighbours = [], float(np.mean(RANGES["neighbours"]))
     overfilled = RANGES["beam on the aperture"][0]
-    for name, rough, beam, sign in (
-        ("too small", 0.0, 1.0, -1.0),
-        ("too large", 0.0, 1.0, 1.0),
-        ("too small, rough", 4.0, 1.0, -1.0),
-        ("too large, rough", 4.0, 1.0, 1.0),
-        ("too small, beam overfills", 0.0, overfilled, -1.0),
-        ("too large, beam overfills", 0.0, overfilled, 1.0),
+    signs = (("too small", -1.0), ("too large", 1.0))
+    for further, rough, beam, wall in (
+        ("", 0.0, 1.0, 90.0),
+        (", rough", 4.0, 1.0, 90.0),
+        (", beam overfills", 0.0, overfilled, 90.0),
+        (", walls of 88 degrees", 0.0, 1.0, 88.0),
+        (", walls of 86 degrees", 0.0, 1.0, 86.0),
     ):
-        bias = sign * np.linspace(0.0, float(known.bias_nm[-1]), 601)
-        place = np.full(bias.shape, rough), bias
-        through = known.fixed * neighbours * beam * known.at(known.wanted, *place)
-        if through[0] < efficiency or through.min() > efficiency:
-            continue
-        best = int(np.flatnonzero(through <= efficiency)[0])
-        shares = [float(known.at(values, *place)[best]) for values in (known.transmitted, known.straight)]
-        reached = float(through[best])
-        found.append(Candidate(name, float(bias[best]), rough, beam, reached, *shares, reached / beam))
+        for name, sign in signs:
+            bias = sign * np.linspace(0.0, float(known.bias_nm[-1]), 601)
+            place = rough, bias, wall
+            through = known.fixed * neighbours * beam * known.at(known.wanted, *place)
+            if through[0] < efficiency or through.min() > efficiency:
+                continue
+            best = int(np.flatnonzero(through <= efficiency)[0])
+            shares = [float(known.at(values, *place)[best]) for values in (known.transmitted, known.straight)]
+            reached = float(through[best])
+            found.append(
+                Candidate(name + further, float(bias[best]), wall, rough, beam, reached, *shares, reached / beam)
+            )
     return found
 
 
@@ -308,8 +267,12 @@ class MadeLens:
     chain: dict[str, float]  #: Factors that are known, by name, from the written mask to the pinhole.
     predicted: float  #: Product of these factors.
     missing: float  #: Measured mean efficiency over ``predicted``.
-    #: 5, 50 and 95 % of the compatible draws with pillars too small and too large; None where none is.
-    bias_nm: dict[str, Interval | None]
+    #: 5, 50 and 95 % of the compatible draws with pillars too small and too large, by wall angle; None where none is.
+    bias_nm: dict[str, dict[str, Interval | None]]
+    wall_deg: Interval  #: The same of the wall angle, over all biases.
+    #: Lowest and highest bias, nm, that is not excluded by two standard errors, by wall angle.
+    allowed_nm: dict[str, tuple[float, float]]
+    wall_error: float  #: Relative error of the wanted share by the slices of a wall, at the most sloped one.
     #: Largest rotation against the crystal that the extinction allows, for several retardances.
     rotation_deg: dict[str, float]
     alone: dict[str, float]  #: Efficiency that the known factors and one further cause leave.
@@ -326,14 +289,16 @@ def explain(folder: Path, aperture_um: float) -> tuple[MadeLens, Explanation, di
     extinction = float(design.measured.extinction_ratio or 0.0)
     shares = pinhole_shares(design)
     design = replace(design, device=replace(design.device, aperture_um=aperture_um))
-    sizes = all_sizes(wide_library(design, folder))
+    with Work().processes() as executor:
+        sizes = [Sizes.solved(design.unit_cell, wall, folder, executor) for wall in WALLS_DEG.tolist()]
+        finer = Sizes.solved(design.unit_cell, float(WALLS_DEG[0]), folder, executor, 2 * SLICES)
     if not (folder / "cell.h5").is_file():
         save(library.build(design.unit_cell), folder / "cell.h5")
     table = load(folder / "cell.h5")
-    sums, pillars = mapped(design, table)
+    sums, _ = mapped(design, table)
     face = 4.0 * _CRYSTAL.n_ordinary / (1.0 + _CRYSTAL.n_ordinary) ** 2
     known = Explanation.of(sums, sizes, face * shares["filter"])
-    plain = PrintedLens.of(sums, sizes)
+    plain, sloped = PrintedLens.of(sums, sizes[-1]), PrintedLens.of(sums, sizes[0])
     chain = {
         "wanted wave behind the written pillars": plain.wanted,
         "target wave through the pinhole": shares["one wavelength"],
@@ -345,20 +310,35 @@ def explain(folder: Path, aperture_um: float) -> tuple[MadeLens, Explanation, di
     mean = 0.5 * (measured_x + measured_y)
     drawn = known.draws(mean, extinction)
     weight = drawn["weight"]
-    signed = {"too small": weight * (drawn["bias_nm"] < 0.0), "too large": weight * (drawn["bias_nm"] > 0.0)}
+    biases: dict[str, dict[str, Interval | None]] = {}
+    for wall in known.wall_deg[::-2].tolist():
+        near = weight * (np.abs(drawn["wall_deg"] - wall) <= 0.5)
+        signed = {"too small": near * (drawn["bias_nm"] < 0.0), "too large": near * (drawn["bias_nm"] > 0.0)}
+        biases[f"{wall:g} degrees"] = {
+            name: Interval.of(drawn["bias_nm"], part) if part.sum() > 0.01 * near.sum() else None
+            for name, part in signed.items()
+        }
+    misfit = known.misfit(mean, extinction)[::2]
+    allowed = {
+        f"{wall:g} degrees": (float(BIAS_NM[beyond <= 2.0].min()), float(BIAS_NM[beyond <= 2.0].max()))
+        for wall, beyond in zip(known.wall_deg[::2].tolist(), misfit, strict=True)
+    }
     # Width and length by 2 nm more and less than a bias that explains the mean.
-    low, high = (PrintedLens.of(sums, sizes, -16.0 + d, -16.0 - d) for d in (-2.0, 2.0))
+    low, high = (PrintedLens.of(sums, sizes[-1], -16.0 + d, -16.0 - d) for d in (-2.0, 2.0))
     per_nm = (high.wanted_x / high.wanted_y - low.wanted_x / low.wanted_y) / 8.0
     made = MadeLens(
         (measured_x, measured_y, extinction),
         chain,
         predicted,
         mean / predicted,
-        {name: Interval.of(drawn["bias_nm"], part) if part.sum() > 0 else None for name, part in signed.items()},
+        biases,
+        Interval.of(drawn["wall_deg"], weight),
+        allowed,
+        abs(sloped.wanted / PrintedLens.of(sums, finer).wanted - 1.0),
         {f"{h:g} um": _largest_rotation_deg(h, extinction) for h in (430.0, 460.0, 500.0)},
-        _alone(known, predicted, extinction, with_slopes(sums, pillars, table)),
+        _alone(known, predicted, extinction),
         candidates(known, mean),
-        _better(design, table, sizes, shares["filter"], face),
+        _better(design, table, sizes[-1], shares["filter"], face),
         abs((measured_x / measured_y - 1.0) / per_nm),
     )
     return made, known, drawn
@@ -370,28 +350,25 @@ def _largest_rotation_deg(thickness_um: float, extinction: float) -> float:
     return float(angles[np.flatnonzero(ghost <= 1.0 / extinction)[-1]])
 
 
-def _alone(
-    known: Explanation, predicted: float, extinction: float, slopes: Mapping[float, tuple[float, float]]
-) -> dict[str, float]:
+def _alone(known: Explanation, predicted: float, extinction: float) -> dict[str, float]:
     """Efficiency that the known factors and one further cause at the end of its range leave."""
-    none = float(known.at(known.wanted, np.zeros(1), np.zeros(1))[0])
 
-    def of(roughness_nm: float, bias_nm: float) -> float:
-        return float(predicted * known.at(known.wanted, np.array([roughness_nm]), np.array([bias_nm]))[0] / none)
+    def of(roughness_nm: float, bias_nm: float, wall_deg: float = 90.0) -> float:
+        return float(known.at(known.wanted, roughness_nm, np.array([bias_nm]), wall_deg)[0])
 
-    sloped = {}
-    for angle, (wanted, error) in slopes.items():
-        sloped[f"walls of {angle:g} degrees"] = predicted * wanted / none
-        sloped[f"walls of {angle:g} degrees, error"] = predicted * error / none
-    return {
-        "nothing further": predicted,
-        "beam that fills the aperture to its 1/e^2 diameter": predicted * RANGES["beam on the aperture"][0],
-        "crystal, as far as the extinction ratio allows": predicted / (1.0 + 1.0 / extinction),
+    none = of(0.0, 0.0)
+    shares = {
         "roughness of 5 nm": of(RANGES["roughness_nm"][1], 0.0),
         "proximity without correction (2 nm everywhere)": min(of(0.0, b) for b in (-2.0, 2.0)),
         "bias of -10 nm": of(0.0, -10.0),
         "bias of +10 nm": of(0.0, 10.0),
-        **sloped,
+        **{f"walls of {wall:g} degrees": of(0.0, 0.0, wall) for wall in WALLS_DEG[-2::-1].tolist()},
+    }
+    return {
+        "nothing further": predicted,
+        "beam that fills the aperture to its 1/e^2 diameter": predicted * RANGES["beam on the aperture"][0],
+        "crystal, as far as the extinction ratio allows": predicted / (1.0 + 1.0 / extinction),
+        **{name: predicted * share / none for name, share in shares.items()},
     }
 
 
@@ -409,24 +386,45 @@ def _better(design: Design, table: Library, sizes: Sizes, pinhole: float, face: 
 
 
 def draw(made: MadeLens, known: Explanation, drawn: dict[str, FloatArray], path: Path) -> None:
-    """Three panels: efficiency against bias, compatible bias and roughness, compatible rotation and thickness."""
+    """Four panels: efficiency against bias; joint map of bias and wall angle; what would tell sets apart; crystal."""
     import matplotlib.pyplot as plt
 
-    figure, axes = plt.subplots(1, 3, figsize=(13.0, 4.0), constrained_layout=True)
-    middle = float(np.mean(RANGES["neighbours"]))
-    for rough, row in zip(known.roughness_nm[::2], known.wanted[::2], strict=True):
-        axes[0].plot(known.bias_nm, row * known.fixed * middle, label=f"roughness {rough:g} nm")
+    figure, axes = plt.subplots(2, 2, figsize=(11.0, 8.0), constrained_layout=True)
+    middle, mean = float(np.mean(RANGES["neighbours"])), 0.5 * (made.measured[0] + made.measured[1])
+    efficiency, joint, told, crystal = axes.ravel()
+    for wall, row in list(zip(known.wall_deg, known.wanted[:, 0], strict=True))[::-4]:
+        efficiency.plot(known.bias_nm, row * known.fixed * middle, label=f"walls of {wall:g}°")
+    efficiency.plot(known.bias_nm, known.wanted[-1, -1] * known.fixed * middle, "--", label="90°, roughness 5 nm")
     for value in made.measured[:2]:
-        axes[0].axhline(value, color="black", linewidth=0.8)
-    axes[0].set(xlabel="bias of both sides / nm", ylabel="efficiency through the pinhole", title="All known factors")
-    axes[0].legend()
-    axes[1].hist2d(drawn["bias_nm"], drawn["roughness_nm"], bins=(60, 25), weights=drawn["weight"], cmap="Blues")
-    axes[1].set(xlabel="bias / nm", ylabel="roughness / nm", title="Compatible with 0.4454 and 0.4393")
+        efficiency.axhline(value, color="black", linewidth=0.8)
+    efficiency.set(xlabel="bias of both sides / nm", ylabel="efficiency through the pinhole", title="All known factors")
+    efficiency.legend()
+    excluded = known.misfit(mean, made.measured[2])
+    joint.contourf(known.bias_nm, known.wall_deg, excluded, levels=[2.0, 1e9], colors=["0.85"])
+    bias_nm, wall_deg, cells, levels = credible(drawn)
+    centres = [0.5 * (edges[1:] + edges[:-1]) for edges in (bias_nm, wall_deg)]
+    joint.contourf(*centres, cells.T, levels=[*levels, cells.max()], colors=["#b7d3ee", "#3f7fbf"])
+    for case in made.candidates:
+        joint.plot(case.bias_nm, case.wall_deg, "k+")
+    joint.set(xlabel="bias / nm", ylabel="wall angle / °", title="68 and 95 % of the draws; grey: excluded (2 σ)")
+    weight = drawn["weight"] / drawn["weight"].max()
+    kept = np.flatnonzero(np.random.default_rng(_SEED).uniform(size=_DRAWS) < weight)[:4000]
+    shown = told.scatter(
+        drawn["transmitted"][kept],
+        drawn["straight"][kept],
+        3,
+        drawn["bias_nm"][kept],
+        cmap="coolwarm",
+        vmin=-20,
+        vmax=20,
+    )
+    figure.colorbar(shown, ax=told, label="bias / nm")
+    told.set(xlabel="behind the pillars, in all", ylabel="zero order on the axis", title="Compatible draws")
     azimuth, thickness = np.meshgrid(np.linspace(0.0, 45.0, 181), np.linspace(*RANGES["thickness_um"], 161))
     allowed = ghost_over_own(azimuth, thickness) <= 1.0 / made.measured[2]
-    axes[2].contourf(azimuth, thickness, allowed, levels=[0.5, 1.5], colors=["tab:blue"])
-    axes[2].set(xlabel="rotation against the crystal / °", ylabel="thickness / µm", title="Compatible with 35.6")
-    figure.savefig(path, dpi=110)
+    crystal.contourf(azimuth, thickness, allowed, levels=[0.5, 1.5], colors=["tab:blue"])
+    crystal.set(xlabel="rotation against the crystal / °", ylabel="thickness / µm", title="Compatible with 35.6")
+    figure.savefig(path, dpi=90)
     plt.close(figure)
 
 

@@ -25,7 +25,7 @@ from metafab.spec import Design, UnitCell
 
 #: Wall angles, degrees, of walls that slope and are otherwise as drawn at half height. At 84 degrees pillars of 70 nm
 #: end in a ridge of 7 nm, and those of 280 nm leave 7 nm between their feet.
-WALLS_DEG = np.arange(84.0, 90.1, 1.0)
+WALLS_DEG = np.arange(84.0, 90.1, 2.0)
 #: Sizes that are solved, nm, and those of the tables: mask sizes, biased by up to 30 nm.
 _SOLVED_NM, TABLE_NM = np.arange(70.0, 282.1, 4.0), np.arange(70.0, 280.1, 2.0)
 #: Slices of a sloped wall.
