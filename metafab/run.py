@@ -108,21 +108,12 @@ def run(
     skips: bool = True,
     say: Callable[[Sequence[str]], None] = lambda sentences: None,
 ) -> RunSummary:
-    """Run every step that is not up to date.
+    """Run every step that is not up to date; return the summary, as in ``folder/summary.json``.
 
-    Args:
-        folder: run folder; files of earlier runs in it are used again as long as they are up to date.
-        steps: the steps, in their order.
-        check: step that checks the design before the folder is made.
-        skips: whether to leave out what need not be computed; with False, every step runs, and computes what it
-            otherwise interpolates.
-        say: called with announcements before the work begins.
-
-    Returns:
-        The summary, as in ``folder/summary.json``.
-
-    Raises:
-        InputError: another process runs in this folder.
+    Files of earlier runs in the run folder are used again as long as they are up to date. ``check`` is the step that
+    checks the design before the folder is made. With ``skips`` false, every step runs, and computes what it otherwise
+    interpolates. ``say`` is called with announcements before the work begins. InputError if another process runs in
+    this folder.
     """
     job = Job(design, folder, work, skips)
     state = _State(job, _read_records(folder, (check, *steps)), _read_log(folder))

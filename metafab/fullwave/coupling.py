@@ -90,15 +90,10 @@ def measure_coupling(
     pool: Pool | None = None,
     progress: Progress = silent,
 ) -> Coupling:
-    """Solve one local period at each place.
+    """Solve one local period, by the phases of the mask's library, for each polarisation at each place.
 
-    Args:
-        library: library of the mask; its phases determine the local period.
-        places_um: (x, y) of the middle of each row.
-        mask_sha256: hash of the written file, kept in the result.
-        polarisations: polarisations of the light; each has a local period of its own.
-        numerics: full-wave solvers.
-        pool: workers of Meep; by default one that lives as long as this process.
+    ``places_um`` are (x, y) of the middle of each row; ``mask_sha256`` is the hash of the written file, kept in the
+    result. ``pool`` of Meep: by default one that lives as long as this process.
 
     Raises:
         InputError: a place is off the lens, or its local period is too long.

@@ -70,20 +70,12 @@ def assign(
     """Choose the size of every pillar.
 
     Each site inside the aperture gets the size whose field overlaps best with its two target phases, among those that
-    the gap rule allows (:mod:`metafab.layout.gap_rule`). With several lights, the weighted sum of their overlaps
-    decides.
+    the gap rule allows (:mod:`metafab.layout.gap_rule`). With several lights (``design.light``, in order), the weighted
+    sum of their overlaps decides. Profile and library are at the wavelength of the design's unit cell.
 
-    Args:
-        profile: target phases at the wavelength of the design's unit cell.
-        library: response of every size at that wavelength.
-        design: lattice, aperture, rules, mask grid.
-        lights: the lights of ``design.light`` in order; empty for one light.
-        executor: runs tiles; threads of this process by default. It must stay open while the map of a lens of more than
-            ``kept_sites`` sites is read.
-        kept_sites: largest lattice that is kept in memory.
-
-    Raises:
-        InputError: the library has no size that the rules allow, or lengths do not fit the database unit.
+    ``executor`` runs tiles; threads of this process by default. It must stay open while the map of a lens of more than
+    ``kept_sites`` sites, which is not kept in memory, is read. InputError if the library has no size that the rules
+    allow, or lengths do not fit the database unit.
     """
     mapping = mapping_of(profile, library, design, lights)
     table, lattice, corners = mapping.table, mapping.aperture.lattice, mapping.corners()

@@ -15,12 +15,7 @@ _SECONDS, _SECONDS_OF_A_BYTE, _SECONDS_OF_A_SITE = 4.0, 4e-7, 1e-4
 
 
 class Budget:
-    """Inflated bytes, and processor time by records, which all passes over a file share.
-
-    Args:
-        path: the file.
-        sites: sites of the design.
-    """
+    """Inflated bytes, and processor time by records, which all passes over a file share; ``sites`` are the design's."""
 
     def __init__(self, path: Path, sites: int) -> None:
         self._source = str(path)
@@ -30,25 +25,14 @@ class Budget:
         self._mb = self._seconds = 0.0
 
     def inflate(self, size: int) -> None:
-        """Spend bytes that a block inflates to.
-
-        Raises:
-            InputError: more than the limit ``memory_mb``.
-        """
+        """Spend bytes that a block inflates to; InputError for more than the limit ``memory_mb``."""
         self._mb += 1e-6 * size
         if self._mb > self._most_mb:
             expected = f"blocks of at most {self._most_mb:.0f} MB"
             raise beyond(self._source, "file", "memory_mb", expected, "more")
 
     def work(self, seconds: float) -> None:
-        """Spend processor time.
-
-        Args:
-            seconds: estimate for what is read next.
-
-        Raises:
-            InputError: more than the limit ``seconds``.
-        """
+        """Spend processor time, an estimate for what is read next; InputError for more than the limit ``seconds``."""
         self._seconds += seconds
         if self._seconds > self._most_s:
             expected = f"records that take about {self._most_s:.3g} s at most"

@@ -82,21 +82,14 @@ def expose_mask(
     keep_sizes: bool = False,
     keep_plain: bool = False,
 ) -> ExposedMask:
-    """Read a mask and expose its drawn pillars.
+    """Read a mask, of a design with ``[process.exposure]``, and expose its drawn pillars.
 
-    Args:
-        path: the mask file.
-        design: design of the mask, with ``[process.exposure]``.
-        correct: whether the pillars are corrected, by ``correction`` of ``[process.exposure]``.
-        samples: number of random pillars to list.
-        copy: lens of ``mask.copies``, counted from 1.
-        work: threads and progress.
-        keep_sizes: whether the printed sizes of all pillars are kept.
-        keep_plain: whether the size errors with one dose are kept beside those of the correction.
+    They are corrected by its ``correction`` if ``correct``. ``samples`` random pillars are listed; ``copy`` is a lens
+    of ``mask.copies``, counted from 1. ``keep_sizes`` keeps the printed sizes of all pillars, ``keep_plain`` the size
+    errors with one dose beside those of the correction.
 
-    Raises:
-        InputError: the design has no ``[process.exposure]``; a key of it is not available with the exposure; or the
-            file holds shapes that are no pillars of the lattice.
+    InputError if the design has no ``[process.exposure]``, a key of it is not available with the exposure, or the file
+    holds shapes that are no pillars of the lattice.
     """
     from metafab import exposure, mask
 

@@ -44,20 +44,12 @@ class OrderGradients:
 def order_gradients(
     supercell: Supercell, light: Polarisation, resolution: float, weights: ComplexArray
 ) -> OrderGradients:
-    """Differentiate functionals of the orders by all sizes.
+    """Differentiate functionals of the orders of a row or block by all sizes.
 
     For a real function g of the orders, take 2 dg/dt (with t and its conjugate as independent) as weights; the real
-    part of the gradient is that of g.
-
-    Args:
-        supercell: a row along x or along y, or a block.
-        light: incident polarisation.
-        resolution: polynomial order of an element far smaller than the wavelength.
-        weights: shape (k, n_orders, 2), of each order's E_x and E_y in the k functionals.
-
-    Raises:
-        InputError: pillars that touch.
-        SolverError: the layer is singular.
+    part of the gradient is that of g. ``weights``, shape (k, n_orders, 2), are of each order's E_x and E_y in the k
+    functionals; ``resolution`` is as in :func:`metafab.cell.elements.solve.orders_at`. InputError for pillars that
+    touch, SolverError if the layer is singular.
     """
     order = supercell.propagating_orders(light)
     if supercell.shape[1] == 1 < supercell.shape[0]:

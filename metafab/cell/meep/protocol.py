@@ -77,8 +77,7 @@ class Job:
 class Worker:
     """A process that runs jobs one after the other; not to be shared between threads.
 
-    Args:
-        command: the program and its arguments; by default the first interpreter that has Meep.
+    ``command`` is the program and its arguments; by default the first interpreter that has Meep.
     """
 
     def __init__(self, command: Sequence[str] | None = None) -> None:
@@ -110,14 +109,9 @@ class Worker:
     def run(self, job: Job, *, limit_s: float, report: Callable[[float], None] | None = None) -> Reply:
         """Run one job to its end, or to ``limit_s``, when the worker is killed.
 
-        ``report`` is called with the simulated time in um / c.
-
-        Returns:
-            The arrays that :func:`metafab.cell.meep_worker.run` documents.
-
-        Raises:
-            SolverError: the worker reported an error, died, broke the protocol or took too long. It can be
-                used again only after an error that it reported (see ``alive``).
+        ``report`` is called with the simulated time in um / c. Returns the arrays that
+        :func:`metafab.cell.meep_worker.run` documents. SolverError if the worker reported an error, died, broke the
+        protocol or took too long; it can be used again only after an error that it reported (see ``alive``).
         """
         name = f"{self.jobs_done}"
         arrays = Path(self._folder.name) / f"{name}.npz"

@@ -68,14 +68,9 @@ class Axis:
 
 
 def lateral_axis(pixels: int, inside: int, size: float, period: float, pixel: float) -> Axis:
-    """An axis across the pillar, symmetric about 0.
+    """An axis across the pillar, symmetric about 0; sizes in the unit of ``pixel``, the grid spacing.
 
-    Args:
-        pixels: pixels of the period; even.
-        inside: pixels of the pillar; even, 0 for none, ``pixels`` for a film.
-        size: size of the pillar, in the unit of ``pixel``.
-        period: period, in the same unit.
-        pixel: grid spacing.
+    The period has ``pixels``, an even number; the pillar ``inside``, even, 0 for none, ``pixels`` for a film.
     """
     half = pixels / 2.0
     if inside in {0, pixels}:
@@ -92,13 +87,9 @@ def stretched_blocks(
     pixel_um: float,
     middle_z: float = 0.0,
 ) -> tuple[Block, ...]:
-    """The structure as disjoint boxes with the materials eps~ and mu~ of the stretched grid.
+    """The structure as disjoint boxes with the materials eps~ and mu~ of the stretched grid of axes x, y, z.
 
-    Args:
-        axes: x, y, z.
-        epsilon: (x, y, z) regions -> physical (eps_x, eps_y, eps_z).
-        pixel_um: grid spacing.
-        middle_z: middle of the cell on the z axis, in pixels.
+    ``epsilon`` maps (x, y, z) regions to physical (eps_x, eps_y, eps_z); ``middle_z`` is the cell's middle, in pixels.
     """
     blocks = []
     middle = (0.0, 0.0, middle_z)

@@ -26,15 +26,10 @@ def shared(function: Callable[[Item], Result], items: Sequence[Item], workers: i
     A fork starts without imports and without sending data, which pays for work of a few seconds; use
     :mod:`metafab.core.parallel.executor` for longer work. Only results are pickled. The work is done in this process,
     with the same results, for one worker, with other threads running, or on systems other than Linux. Work of a process
-    that is killed is done again.
+    that is killed is done again; WorkerLostError if three in a row end on one item.
 
-    Args:
-        function: has no side effects in this process and starts no compiled parallel loop.
-        items: arguments of ``function``.
-        workers: processes; None for all cores.
-
-    Raises:
-        WorkerLostError: three processes in a row ended on one item.
+    ``function`` has no side effects in this process and starts no compiled parallel loop. ``workers`` None is all
+    cores.
     """
     count = min(default_workers() if workers is None else workers, len(items))
     if count < 2 or not can_fork():

@@ -95,21 +95,15 @@ _AS_PREDICTED = CameraFit(0.0, 0.0, 0.0, 1.0, (0.0, 0.0), 0.0, 0.0)
 
 
 def calibrate(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: Psf) -> tuple[Psf, CameraFit]:
-    """Calibrate a camera from photographs of a point on the axis.
+    """Calibrate a camera from photographs of a point on the axis, at least two, each with both images of the point.
 
-    Args:
-        frames: at least two, each with both images of the point.
-        depths_m: depth of the point in each, inside the range of ``predicted``.
-        predicted: the pair from the mask, of at least four depths.
+    ``depths_m`` of the point lie inside the range of ``predicted``, the pair from the mask, of at least four depths.
+    Returns the calibrated pair, over the depths that the prediction covers with the fitted offsets, and the fit. The
+    pair's ``details.camera_fit`` holds the figures of the fit; ``phi_deg`` includes its rotation, and ``error`` is that
+    of the prediction.
 
-    Returns:
-        The calibrated pair, over the depths that the prediction covers with the fitted offsets, and the fit. The pair's
-        ``details.camera_fit`` holds the figures of the fit; ``phi_deg`` includes its rotation, and ``error`` is that
-        of the prediction.
-
-    Raises:
-        InputError: too few frames, depths outside the range, another pixel pitch, no image of a point in a frame, or
-            images that are saturated, unlike the prediction, at an end of its range, or inconsistent.
+    InputError for too few frames, depths outside the range, another pixel pitch, no image of a point in a frame, or
+    images that are saturated, unlike the prediction, at an end of its range, or inconsistent.
     """
     _check(frames, depths_m, predicted)
     vergence = 1.0 / np.asarray(depths_m, dtype=np.float64)

@@ -45,16 +45,10 @@ class PointImage:
 def find_point(
     frame: RawFrame, depth_m: float, polarisation: int, kernels: PairKernels, place_um: FloatArray
 ) -> PointImage:
-    """Find the image of a point and fit the prediction to it.
+    """Find the image of a point and fit the prediction on the axis, ``kernels``, to it; ``polarisation`` 0 is x.
 
-    Args:
-        depth_m: depth of the point, for messages.
-        polarisation: 0 for x, 1 for y.
-        kernels: the prediction on the axis.
-        place_um: shape (2,), predicted place (x, y) on the sensor.
-
-    Raises:
-        InputError: there is no image of a point near the predicted place.
+    ``depth_m`` is for messages; ``place_um`` is the predicted place (x, y) on the sensor. InputError if there is no
+    image of a point near it.
     """
     n_y, n_x = kernels.shape
     column, row = (round((place_um[axis] - frame.origin_um[axis]) / frame.pixel_um) for axis in (0, 1))
@@ -105,8 +99,7 @@ def _fitted(
 ) -> tuple[OptimizeResult, float]:
     """Fit vergence (as a share of the range) and place (row, column, from the middle) of a point in a window.
 
-    Returns:
-        The solution, and the power that the model explains, in variances of the noise like the cost.
+    Also the power that the model explains, in variances of the noise like the cost.
     """
     n_y, n_x = cut.shape
     nodes = 1.0 / kernels.psf.depth_m

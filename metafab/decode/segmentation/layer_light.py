@@ -134,8 +134,7 @@ class LayerOptics:
     def shifts_px_m(self) -> FloatArray:
         """Shift of an outline as seen from each point of the aperture, for 1/m between the vergences of two layers.
 
-        Returns:
-            Shape (n, 2): (columns, rows), downsampled pixels; (0, 0) where the calibration does not know the aperture.
+        Shape (n, 2): (columns, rows), downsampled pixels; (0, 0) where the calibration does not know the aperture.
         """
         return self._shifts
 
@@ -148,13 +147,10 @@ class LayerOptics:
     def light(
         self, tile: NDArray[np.intp], of_tile: NDArray[np.intp], vergence_per_m: FloatArray, gains: NDArray[np.float32]
     ) -> LayerLight:
-        """The blur of layers in tiles.
+        """The blur of layers in tiles: pairs of a tile (its number, and its index, ascending from 0) and a layer.
 
-        Args:
-            tile: shape (n_pairs,), number of each pair's tile.
-            of_tile: shape (n_pairs,), index of each pair's tile, ascending from 0.
-            vergence_per_m: shape (n_pairs,), 1/depth of each pair's layer at the middle of the tile.
-            gains: shape (n_pairs, 2), factors of the images.
+        ``vergence_per_m`` is 1/depth of each pair's layer at the middle of the tile; ``gains``, shape (n_pairs, 2), are
+        factors of the images.
         """
         share, shape = self.calibration.depth_weights(vergence_per_m), self.of_tiles.shape[2:]
         pairs = [one @ self.of_tiles[at].reshape(one.size, -1) for one, at in zip(share, tile.tolist(), strict=True)]
@@ -165,8 +161,7 @@ class LayerOptics:
     def aperture(self, vergence_per_m: float) -> NDArray[np.complex64]:
         """Transfer function of the share of the aperture that a nearer layer covers, shape (n_ky, n_kx).
 
-        Args:
-            vergence_per_m: of the nearer layer, less that of the layer behind it.
+        ``vergence_per_m`` is that of the nearer layer, less that of the layer behind it.
         """
         ky, kx = frequencies(self.tiling.size, 1)
         along_x, along_y = (

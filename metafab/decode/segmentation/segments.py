@@ -172,12 +172,8 @@ def grown(segment: NDArray[np.int32], reach: float) -> NDArray[np.int32]:
 def segment_depth(volume: CostVolume, sums: FloatArray, pixels: float, tilt: Plane | None = None) -> SegmentDepth:
     """Measure a segment's depth at the peak of a spline through the correlation at all candidates.
 
-    The error is infinite where the twins do not correlate, or best at an end of the candidates.
-
-    Args:
-        sums: shape (3, n_candidates), its products summed over the segment's interior.
-        pixels: pixels of that interior.
-        tilt: plane along which they were summed; none by default.
+    The error is infinite where the twins do not correlate, or best at an end of the candidates. ``sums`` are its
+    products, shape (3, n_candidates), summed over its interior ``pixels`` along the plane ``tilt``, if there is one.
     """
     rho = correlation(sums)
     nodes = volume.vergences_per_m

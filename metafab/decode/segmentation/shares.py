@@ -217,12 +217,10 @@ class _Layers:
     def _group(
         self, tiles: list[tuple[int, list[int]]], weight: NDArray[np.float32], light: NDArray[np.float32]
     ) -> _Group:
-        """Cut tiles, with the layers in each, out of the frame's pictures.
+        """Cut tiles, with the indices of the layers in each, out of the frame's pictures.
 
-        Args:
-            tiles: numbers of the tiles, and indices of their layers.
-            weight: shape of the images, inverse standard deviation of each pixel.
-            light: mean light about each pixel, electrons, positive.
+        ``weight`` is the inverse standard deviation of each pixel, ``light`` the mean light about it, electrons,
+        positive.
         """
         tiling, step = self.optics.tiling, self.prepared.downsampling.step
         numbers, counts = [tile for tile, _ in tiles], [len(layers) for _, layers in tiles]

@@ -38,14 +38,9 @@ class NeighbourTables:
         return cls((x[0], x[1]), (y[0], y[1]))
 
     def corrections(self, size_index: IndexArray, polarisation: Literal[0, 1]) -> ComplexArray:
-        """Corrections t_m - t(s_m) of the inner sites of a window.
+        """Corrections t_m - t(s_m) of the inner sites of a window, shape (n_y, n_x); ``polarisation`` 0 is x, 1 is y.
 
-        Args:
-            size_index: shape (n_y + 2 HALO_SITES, n_x + 2 HALO_SITES).
-            polarisation: 0 for x and 1 for y.
-
-        Returns:
-            Shape (n_y, n_x), complex128.
+        ``size_index`` has shape (n_y + 2 HALO_SITES, n_x + 2 HALO_SITES).
         """
         inner = slice(HALO_SITES, -HALO_SITES)
         rows = open_line_corrections(self.along_x[polarisation], size_index[inner])[:, inner]
@@ -55,13 +50,9 @@ class NeighbourTables:
     def slopes(self, size_index: IndexArray, weight: ComplexArray) -> tuple[ComplexArray, FloatArray]:
         """Corrections of all sites of a window whose ends have no neighbours, and derivatives of their weighted sum.
 
-        Args:
-            size_index: shape (n_y, n_x).
-            weight: shape (2, n_y, n_x), weights of the field of x and y polarised light; 0 where no pillar stands.
-
-        Returns:
-            Corrections, shape (2, n_y, n_x), and derivatives of the real part of the sum over all sites and both
-            polarisations by width and length of each pillar, shape (n_y, n_x, 2), per nm.
+        ``weight``, shape (2, n_y, n_x), is of the field of x and y polarised light; 0 where no pillar stands.
+        Corrections have its shape; derivatives, shape (n_y, n_x, 2), per nm, are of the real part of the sum over all
+        sites and both polarisations by width and length of each pillar.
         """
         field = np.empty(weight.shape, dtype=np.complex128)
         slopes = np.zeros((*size_index.shape, 2), dtype=np.float64)

@@ -43,8 +43,7 @@ class SizesOfLights:
     def of(cls, table: SizeTable, libraries: Sequence[Library], weights: Sequence[float]) -> SizesOfLights:
         """Return the choice among the sizes of ``table``, by the libraries and positive weights of K lights.
 
-        Raises:
-            InputError: a library lacks a size.
+        InputError if a library lacks a size.
         """
         width_nm, length_nm = (table.size_dbu[1:] * table.database_unit_nm).T
         tables, fields = [], []
@@ -60,8 +59,7 @@ class SizesOfLights:
     def best(self, target_rad: FloatArray) -> tuple[NDArray[np.uint16], FloatArray]:
         """Find the best size for target phases of all lights, shape (K, 2, ...).
 
-        Returns:
-            Row of the tables, counted from 1, and its weighted overlap: shape (...) each.
+        Row of the tables, counted from 1, and its weighted overlap: shape (...) each.
         """
         targets = target_rad.reshape(2 * len(self.tables), -1)
         count = targets.shape[1]
@@ -76,13 +74,10 @@ class SizesOfLights:
         return index.reshape(shape), overlap.reshape(shape)
 
     def constant_phases(self, target_rad: FloatArray) -> FloatArray:
-        """Return the constants that, added to the targets, give the largest total overlap found.
+        """Return the constants that, added to the targets, give the largest total overlap found: (K, 2), in (-pi, pi].
 
         ``target_rad``, shape (K, 2, n), holds the target phases at a sample of sites; of many sites with many sizes,
         some are used.
-
-        Returns:
-            Shape (K, 2), wrapped to (-pi, pi].
         """
         lights = len(self.tables)
         targets = target_rad[..., :: -(-target_rad.shape[-1] * len(self.field) // _SEARCHED)].reshape(2 * lights, -1)

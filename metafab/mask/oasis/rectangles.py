@@ -20,22 +20,14 @@ RUN = 1 << 16
 def read_rectangles(
     data: ByteArray, position: int, state: NDArray[np.int64], wanted: tuple[int, int, int], out: IntArray, capacity: int
 ) -> tuple[int, int]:
-    """Read RECTANGLE records.
+    """Read RECTANGLE records; return the position behind the last one read, and the number of rectangles.
 
     Stops at any other record, at another layer, at a repetition that repeats an earlier one, when ``capacity`` is
     reached, and where the data end; ``state`` is then as before the record that was not read.
 
-    Args:
-        data: shape (n,), bytes.
-        position: where the first record begins.
-        state: shape (8,), modal layer, datatype, x, y, width, height, position of the last repetition (-1 for none),
-            and whether positions are relative; updated.
-        wanted: (layer, first datatype, last datatype).
-        out: shape (capacity, 4), filled with x, y, width, height; shape (0, 4) to count only.
-        capacity: largest number of rectangles.
-
-    Returns:
-        The position behind the last record read, and the number of rectangles.
+    ``state``, shape (8,), is updated: modal layer, datatype, x, y, width, height, position of the last repetition (-1
+    for none), and whether positions are relative. ``wanted`` is (layer, first datatype, last datatype). ``out``, shape
+    (capacity, 4), is filled with x, y, width, height; shape (0, 4) to count only.
     """
     count = 0
     now = state.copy()

@@ -36,11 +36,8 @@ class PeakBound:
 def peak_bound(waves: ComplexArray, weights: FloatArray, iterations: int, seed: int) -> PeakBound:
     """Bound the sum over d of weights_d |<f_d, p>|^2 for all masks p.
 
-    Args:
-        waves: shape (n_waves, n), target waves f_d at the samples of the pupil, modulus 1.
-        weights: shape (n_waves,), positive, sum 1.
-        iterations: largest number of steps of the relaxation; the bounds hold after any number.
-        seed: of the random start of the relaxation.
+    ``waves`` are the target waves f_d at the samples of the pupil, shape (n_waves, n), modulus 1; weights are positive,
+    of sum 1. The bounds hold after any number of steps of the relaxation, which starts at random.
     """
     count = waves.shape[1]
     root = np.sqrt(weights)[:, None] * waves
@@ -68,12 +65,9 @@ def peak_bound(waves: ComplexArray, weights: FloatArray, iterations: int, seed: 
 def worst_peak_bound(waves: ComplexArray, start: ComplexArray, iterations: int) -> PeakBound:
     """Bound the smallest of the peaks |<f_d, p>|^2 for all masks p, by their weighted mean at the least weights.
 
-    The weights come from the relaxation with levelled peaks: a depth gains weight while its peak is below the mean.
-
-    Args:
-        waves: shape (n_waves, n), target waves f_d at the samples of the pupil, modulus 1.
-        start: shape (n_waves,), wave amplitudes of a mask with about equal peaks.
-        iterations: steps of the levelling; the bounds hold after any number.
+    The weights come from the relaxation with levelled peaks: a depth gains weight while its peak is below the mean. The
+    bounds hold after any number of steps. ``waves`` are as in :func:`peak_bound`; ``start``, shape (n_waves,), holds
+    the wave amplitudes of a mask with about equal peaks.
     """
     count = waves.shape[1]
     adjoint = waves.conj().T / count

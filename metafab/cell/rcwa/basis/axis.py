@@ -52,13 +52,9 @@ class AxisParity:
 def outline_bases(
     period_nm: float, sizes_nm: tuple[float, ...], orders: int, formulation: Formulation
 ) -> tuple[AxisBasis, ...]:
-    """One basis of an axis over a shared map, with the overlaps of each outline.
+    """Bases of an axis over a shared map, with the overlaps, for outlines of 0 to the period; equal sizes share one.
 
-    Args:
-        period_nm: period along the axis.
-        sizes_nm: size of each outline along the axis, 0 to the period; equal sizes share one basis.
-        orders: M cosines besides the constant.
-        formulation: whether x(u) gathers resolution at the walls.
+    ``orders`` are M cosines besides the constant; ``formulation``: whether x(u) gathers resolution at the walls.
     """
     distinct = tuple(sorted(set(sizes_nm)))
     bases = _bases(period_nm, distinct, orders, formulation)
@@ -84,11 +80,8 @@ def _bases(
 def plane_waves_of_axis(period_nm: float, whole: FloatArray, orders: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Plane waves of the empty cell in the basis of M ``orders``.
 
-    ``whole``, shape (2 M + 1,), holds the cosine integrals of dx/du over the period.
-
-    Returns:
-        Wave numbers, shape (M,), rad/nm; even functions, shape (M + 1, M + 1), and odd functions, shape (M, M), as
-        columns over the harmonics.
+    ``whole``, shape (2 M + 1,), holds the cosine integrals of dx/du over the period. Wave numbers have shape (M,),
+    rad/nm; even functions (M + 1, M + 1), and odd functions (M, M), are columns over the harmonics.
     """
     # The inverse instead of SciPy's triangular solver: on matrices this small each call is the cost.
     to_even, to_odd = (np.linalg.inv(np.linalg.cholesky(weight(whole, orders))) for weight in (even_matrix, odd_matrix))

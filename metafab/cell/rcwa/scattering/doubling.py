@@ -55,14 +55,9 @@ def solve_by_doubling(
 ) -> FaceFields | None:
     """Solve one layer for the fields that the waves ``incident`` excite; None if rounding is too large.
 
-    Args:
-        p: shape (n, n), P of the layer.
-        q: shape (n, n), Q of the layer.
-        thickness_k0: thickness times k0.
-        incoming: plane waves of the half space that the light comes from.
-        outgoing: plane waves of the half space behind.
-        incident: shape (n, k), transverse E of k incident waves where the layer begins.
-        largest_a: bound on the real part of the eigenvalues of A, where one is known.
+    ``p`` and ``q`` are those of the layer, shape (n, n); ``incoming`` and ``outgoing`` plane waves of the half spaces
+    that the light comes from and behind. ``incident``, shape (n, k), is the transverse E of k waves where the layer
+    begins. ``largest_a`` bounds the real part of the eigenvalues of A, where a bound is known.
     """
     with np.errstate(all="ignore"):  # non-finite values fail the reciprocity test below
         half = doubled(p, q, thickness_k0, largest_a, last=1)
@@ -132,10 +127,8 @@ def pull_back_doubled(
 ) -> tuple[Matrix, Matrix]:
     """Derivatives of sum(f_bar * F) by P and by Q, all of shape (n, n): the steps of :func:`doubled` in reverse.
 
-    ``f_bar`` is the weight of each element of F, which :func:`doubled` returns with the other arguments.
-
-    Raises:
-        ValueError: the layer is singular.
+    ``f_bar`` is the weight of each element of F, which :func:`doubled` returns with the other arguments. ValueError if
+    the layer is singular.
     """
     powers = _powers(p, q)
     halvings = _halvings(powers, thickness, largest_a)
