@@ -63,7 +63,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
 
 
 def _pairs(design: Design, quick: bool) -> list[tuple[str, optics.Psf]]:
-    source, imaging, depth_m = _optics(design)
+    source, imaging, depth_m = optics_of(design)
     plain = optics.psf(source, imaging, depth_m)
     if quick:
         return [("one pair for all", plain)]
@@ -74,7 +74,7 @@ def _pairs(design: Design, quick: bool) -> list[tuple[str, optics.Psf]]:
     ]
 
 
-def _optics(design: Design) -> tuple[optics.Source, optics.Imaging, FloatArray]:
+def optics_of(design: Design) -> tuple[optics.Source, optics.Imaging, FloatArray]:
     """The target phases of a design without optimisation, their geometry, and depths to calibrate at."""
     terms = tuple(dataclasses.replace(t, optimise="none") if isinstance(t, SpiralZones) else t for t in design.phase)
     design = dataclasses.replace(design, phase=terms)
@@ -93,7 +93,7 @@ def _optics(design: Design) -> tuple[optics.Source, optics.Imaging, FloatArray]:
 def _realism_rows() -> list[dict[str, Any]]:
     """The paper's lens over its field in a filter's light: frames of the calibration, and of the exact camera."""
     design = load_design(PAPER_DESIGN)
-    source, imaging, depth_m = _optics(design)
+    source, imaging, depth_m = optics_of(design)
     tangents = optics.field_tangents(design, imaging)
     calibration = optics.psf(
         source, imaging, depth_m, optics.PsfNumerics(filter_fwhm_nm=FILTER_FWHM_NM), field_tangents=tangents
@@ -148,7 +148,7 @@ def _video_row() -> dict[str, Any]:
     frames that are each decoded anew. ``seconds_unchanged`` is the time of a frame without motion.
     """
     design = load_design(OUTDOOR_DESIGN)
-    source, imaging, depth_m = _optics(design)
+    source, imaging, depth_m = optics_of(design)
     psf = optics.psf(source, imaging, depth_m, field_tangents=optics.field_tangents(design, imaging))
     frames = list(camera.film(design.scene, psf))
     first = decode.Decoder.of(psf, frames[0].frame.shape, frames[0].origin_um, frames[0].x_window)
@@ -181,7 +181,7 @@ def _video_row() -> dict[str, Any]:
 def _window_row(lens: str, path: Path, plane: SceneObject) -> dict[str, Any]:
     """Row of windows of one plane all over a lens' field, at one wavelength, each measured separately."""
     design = load_design(path)
-    source, imaging, depth_m = _optics(design)
+    source, imaging, depth_m = optics_of(design)
     psf = optics.psf(source, imaging, depth_m, field_tangents=optics.field_tangents(design, imaging))
     scene = dataclasses.replace(design.scene, objects=(plane,))
     frames = [camera.capture(scene, psf, seed=seed) for seed in range(1, SEEDS + 1)]

@@ -28,6 +28,7 @@ ROOMS = (
     "made_lens",
     "decode",
     "scenes",
+    "films",
     "files",
     "end_to_end",
     "floor",
@@ -38,6 +39,7 @@ ROOM_OPTIONS = {
     "expose": ("only",),
     "certificates": ("seed", "samples"),
     "files": ("seed", "samples"),
+    "films": ("samples",),
 }
 #: Name of a room's row that sums up all others.
 ALL_CASES = "all answers"

@@ -44,7 +44,8 @@ def benchmark_command(
             "--samples",
             min=1,
             metavar="N",
-            help="Answers of `certificates` [default: 300], or `files` [default: 2000].",
+            help="Answers of `certificates` [default: 300] or `files` [default: 2000], frames of `films` [default: "
+            "10000].",
         ),
     ] = None,
     json_: Json = False,

@@ -44,11 +44,23 @@ def measured() -> Iterator[Cost]:
 
 def peak_rss_mb() -> float:
     """Largest resident set of this process since the last reset, in megabytes."""
+    peak = _status_mb("VmHWM")
+    return _megabytes(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) if peak is None else peak
+
+
+def resident_mb() -> float:
+    """Resident set of this process, in megabytes; its peak where the system does not tell (other than Linux)."""
+    now = _status_mb("VmRSS")
+    return peak_rss_mb() if now is None else now
+
+
+def _status_mb(name: str) -> float | None:
+    """A line of this process's status file, in megabytes; None without one."""
     with suppress(OSError):
         for line in _STATUS.read_text().splitlines():
-            if line.startswith("VmHWM:"):
+            if line.startswith(f"{name}:"):
                 return int(line.split()[1]) * 1024 / 1e6
-    return _megabytes(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+    return None
 
 
 def _workers_peak_mb() -> float:

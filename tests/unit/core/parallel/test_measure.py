@@ -6,7 +6,10 @@ import subprocess
 import sys
 import time
 
-from metafab.core.parallel.measure import measured
+import numpy as np
+import pytest
+
+from metafab.core.parallel.measure import measured, resident_mb
 
 #: Each in an interpreter of its own: a process remembers the largest worker that it ever had.
 WORKER = """
@@ -63,3 +66,9 @@ def test_processor_time_counts_work_and_no_waiting() -> None:
             pass
     assert working.processor_seconds >= 0.1
     assert waiting.processor_seconds < 0.1 < waiting.seconds
+
+
+def test_the_resident_set_follows_what_is_held() -> None:
+    before = resident_mb()
+    held = np.ones(5_000_000)
+    assert resident_mb() - before == pytest.approx(held.nbytes / 1e6, rel=0.1)
