@@ -60,7 +60,8 @@ def seconds_estimate(target_error: float, cell: PillarCell = _SAMPLE, *, five_co
     numerics = CellNumerics(target_error)
     steps = slicing(cell, numerics).steps
     law = power_law(cell)
-    rungs = ladder(numerics, law=law)[: 8 if law else 2 if is_measured(cell) else 4]
+    measured = is_measured(cell)
+    rungs = ladder(numerics, measured=measured, law=law)[: 8 if law else 2 if measured else 4]
     return sum(seconds_of_truncation(orders, cell, steps, five_cosines_s=five_cosines_s) for orders in rungs)
 
 
