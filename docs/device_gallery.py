@@ -12,12 +12,18 @@ from typing import Any
 from docutils import nodes
 from docutils.parsers.rst import Directive
 
+from metafab.report.draw import draw
+from metafab.report.run_folder import open_run
 from metafab.run import run
 from metafab.spec import load_design, write_new
+from metafab.steps import RESULT_STEPS
 
 FOLDER = "_gallery"
 #: Pictures of a run that tell one device from another: its mask from afar and close by, and its light.
 PICTURES = {"mask": "The whole mask", "mask_close": "Single pillars", "psf_pair": "What the written file does to light"}
+
+#: Steps whose results are not shown.
+NOT_SHOWN = {"study", "capture", "decode"}
 
 
 class Device(Directive):
@@ -38,12 +44,14 @@ class Device(Directive):
 
 
 def make(kind: str, folder: Path) -> dict[str, Any]:
-    """Write a design of the kind, unless it is there, run it, and return its summary."""
+    """Write a design of the kind, unless it is there, run it up to its light, and return its summary."""
     folder.mkdir(parents=True, exist_ok=True)
     design = folder / f"{kind}.toml"
     if not design.is_file():
         write_new(kind, kind, folder)
-    run(load_design(design), folder / "run")
+    steps = [step for step in RESULT_STEPS if step.name not in NOT_SHOWN]
+    run(load_design(design), folder / "run", steps=steps)
+    draw(open_run(folder / "run"), only=PICTURES)
     found: dict[str, Any] = json.loads((folder / "run" / "summary.json").read_text(encoding="utf-8"))
     return found
 

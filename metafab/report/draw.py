@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from metafab.core.conventions import POLARISATIONS
 from metafab.core.parallel.forked import shared
-from metafab.core.parallel.progress import Progress
+from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.pictures import read_grey
 from metafab.layout import Outline
 from metafab.optics import Psf
@@ -48,12 +48,18 @@ class Plan:
         return figure
 
 
-def draw(run: RunFolder, progress: Progress, workers: int | None = None) -> dict[str, str]:
-    """Draw all figures of a run into ``figures/``; return them as SVG by name, and remove those of earlier runs."""
+def draw(
+    run: RunFolder, progress: Progress = silent, workers: int | None = None, only: Collection[str] | None = None
+) -> dict[str, str]:
+    """Draw all figures of a run, or those named in ``only``, into ``figures/``; those of earlier runs are removed.
+
+    Returns:
+        The figures as SVG by name.
+    """
     folder = run.path / "figures"
     folder.mkdir(exist_ok=True)
     rooms = (_accounts, _library, _design, _exposure, _hologram, _fullwave, _study, _light, _image, _comparison)
-    plans = [plan for room in rooms for plan in room(run)]
+    plans = [plan for room in rooms for plan in room(run) if only is None or plan.name in only]
     drawn: dict[str, str] = {}
     progress("figures", 0, len(plans))
     for plan, text in zip(plans, shared(partial(_drawn, folder=folder), plans, workers), strict=True):
