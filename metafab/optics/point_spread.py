@@ -38,7 +38,7 @@ class PsfDetails:
     transmitted: tuple[float, ...] = ()
     stray: tuple[float, ...] = ()  #: Shape (2,), share that is transmitted but misses the window.
     field_error: float = math.nan  #: Largest relative L2 error over the field points; NaN without a field.
-    #: Largest relative L2 error between field points, where it was measured; else NaN.
+    #: Relative L2 error of interpolation between field points, where it was measured; else NaN.
     field_interpolation_error: float = math.nan
     filter_fwhm_nm: float | None = None  #: Full width of the filter; None for one wavelength.
     seconds: float = 0.0  #: Wall-clock time of the computation.

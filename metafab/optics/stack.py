@@ -14,11 +14,12 @@ from metafab.core.conventions import FloatArray
 from metafab.core.parallel.work import Work
 from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
 from metafab.optics.geometry.path import Ray, power_at_aperture
+from metafab.optics.interpolation import at_tangent
 from metafab.optics.measures.metrics import orientation_deg
 from metafab.optics.numerics import PsfNumerics, require_valid
 from metafab.optics.point_spread import Psf, PsfDetails, PsfField
 from metafab.optics.propagation.blocks import reduce_to_target
-from metafab.optics.propagation.image import Window
+from metafab.optics.propagation.image import Window, relative_l2
 from metafab.optics.propagation.pupil import Pupil
 from metafab.optics.sources.source import Source
 
@@ -46,8 +47,8 @@ def psf(
 
     Returns:
         The pair. ``error`` bounds the errors of block sums, low-rank kernel and single precision; ``details`` accounts
-        for the light outside the windows; ``ghost`` is the light that a birefringent substrate brings into the wrong
-        image.
+        for the light outside the windows and for interpolation over the field; ``ghost`` is the light that a
+        birefringent substrate brings into the wrong image.
 
     Raises:
         InputError: depths that are not positive and ascending, an object whose light does not reach the sensor,
@@ -67,6 +68,7 @@ def psf(
     entries = [(0, 0), (1, 1)] if imaging.crystal is None else [(0, 0), (1, 1), (0, 1), (1, 0)]
     tasks = [(entry, t) for t in directions[:1] for entry in entries]
     tasks += [(entry, t) for entry in entries for t in directions[1:]]
+    middle, probe = len(depths) // 2, None if grid is None else _between_nodes(grid)
     images: list[FloatArray] = []
     errors: list[FloatArray] = []
     with threadpool_limits(1, "blas"), work.threads() as pool:
@@ -86,14 +88,23 @@ def psf(
             )
             for index, (entry, t) in enumerate(tasks)
         ]
+        central = depths[middle : middle + 1]
+        checks = (
+            []
+            if probe is None
+            else [
+                pool.submit(Window.light, window, pyramids[p], p, probe, central, numerics, judged="none")
+                for p in (0, 1)
+            ]
+        )
         for done, job in enumerate(jobs):
             image, error = job.result()
             images.append(image if done < len(entries) else image.astype(np.float32))
             errors.append(error)
             work.progress("psf", done + 1, len(tasks))
+        between = [job.result()[0] for job in checks]
         unwanted = unwanted_light.result().sum(axis=(1, 2)) * imaging.pixel_um**2
 
-    middle = len(depths) // 2
     transmitted = [_transmitted(imaging, pyramids, p, depths[middle], tangent) for p in (0, 1)]
     over_field = np.array(images[len(entries) :], dtype=np.float32)
     parts = over_field.reshape(len(entries) // 2, -1, *over_field.shape[1:])
@@ -108,6 +119,9 @@ def psf(
         extinction = wanted.efficiency[0] / unwanted
     if np.abs(np.diff(wanted.centre_um[:, 0], axis=0)).max() < imaging.pixel_um:
         extinction = np.full(len(depths), np.nan)  # one window holds the light of both polarisations
+    between_error = float("nan")
+    if probe is not None:
+        between_error = relative_l2(at_tangent(wanted, probe)[:, middle : middle + 1], np.array(between))
     return replace(
         wanted,
         extinction_ratio=extinction,
@@ -118,6 +132,7 @@ def psf(
             transmitted=tuple(transmitted),
             stray=tuple(share - float(wanted.efficiency[p, middle]) for p, share in enumerate(transmitted)),
             field_error=float("nan") if grid is None else float(max(e.max() for e in errors[len(entries) :])),
+            field_interpolation_error=between_error,
             filter_fwhm_nm=numerics.filter_fwhm_nm,
             seconds=time.perf_counter() - begun,
         ),
@@ -153,6 +168,13 @@ def _grid(field_tangents: FieldGrid) -> FieldGrid | None:
     """The grid as arrays; None for a single direction."""
     t_x, t_y = (np.atleast_1d(np.asarray(axis, dtype=np.float64)) for axis in field_tangents)
     return None if t_x.size == t_y.size == 1 else (t_x, t_y)
+
+
+def _between_nodes(grid: FieldGrid) -> Tangent | None:
+    """Middle of an outermost cell of the field grid, where interpolation errs most; None where cells have no area."""
+    (t_x, t_y), (step_x, step_y) = grid, (np.diff(axis) for axis in grid)
+    flat = min(t_x.size, t_y.size) == 1 or min(step_x.min(), step_y.min()) <= 0.0
+    return None if flat else (float(t_x[-2:].mean()), float(t_y[-2:].mean()))
 
 
 def _transmitted(

@@ -124,7 +124,6 @@ class PsfFigures(PairFigures):
         *,
         verified: NDArray[np.bool_],
         depth_interpolation_error: float | None = None,
-        field_interpolation_error: float | None = None,
         light_at_um: Places | None = None,
     ) -> PsfFigures:
         """Figures of a pair and of the target phases (None without a mask) at the verified depths.
@@ -136,7 +135,7 @@ class PsfFigures(PairFigures):
             **_over_depth(psf, verified),
             **of_target,
             "depth_interpolation_error": depth_interpolation_error,
-            "field_interpolation_error": field_interpolation_error,
+            "field_interpolation_error": None,  # until the details say more
             "depths": psf.depth_m.size,
             **plain(psf.details.figures()),
         }
@@ -411,18 +410,6 @@ def _depth_interpolation_error(written: Psf, verified: NDArray[np.bool_]) -> flo
     return optics.relative_l2(interpolated, written.psf[:, between])
 
 
-def _field_interpolation_error(written: Psf, psf_of: Callable[..., Psf], source: Source) -> float | None:
-    """Relative L2 error of interpolated PSFs in the middle of an outermost cell of the field grid."""
-    from metafab import optics
-
-    if written.field is None or min(written.field.tangent_x.size, written.field.tangent_y.size) == 1:
-        return None
-    middle = written.depth_m.size // 2
-    t_x, t_y = (float(nodes[-2:].mean()) for nodes in (written.field.tangent_x, written.field.tangent_y))
-    computed = psf_of(source, depths_m=written.depth_m[middle : middle + 1], tangent=(t_x, t_y))
-    return optics.relative_l2(optics.at_tangent(written, (t_x, t_y))[:, middle : middle + 1], computed.psf)
-
-
 def _psf_files(job: Job) -> tuple[Path, ...]:
     """Files of the step; without a mask, the pair of the target phases is the only one."""
     return in_folder("psf.h5", *(("ideal_psf.h5",) if job.design.has_mask else ()))(job)
@@ -449,7 +436,6 @@ def _psf(job: Job) -> PsfFigures:
         ideal,
         verified=verified,
         depth_interpolation_error=_depth_interpolation_error(written, verified),
-        field_interpolation_error=_field_interpolation_error(written, psf_of, source),
         light_at_um=light_elsewhere(source, Imaging.of(design), written),
     )
     return replace(figures, with_neighbours=isinstance(pillars, NeighbourField) or None)
