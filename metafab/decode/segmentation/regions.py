@@ -62,6 +62,8 @@ _OUTLIER = 16.0
 _OUTLINE_REACH_PX = 40
 #: Distance from an outline beyond which light that does not fit is not that of the other side, frame pixels.
 _OUTLINE_LIGHT_PX = 20
+#: Pixels that the depth of a wide segment is measured on at least: twice a window. Bars and fragments have fewer.
+_WIDE_PX = 2 * WINDOW_PX**2
 #: Number of layers from which they may be stripes of a tilted surface.
 _MANY_LAYERS = 5
 #: A segment is a stripe of a plane if its pixels' depths differ at most this many times as much from the plane.
@@ -161,7 +163,7 @@ def find_regions(
 ) -> Regions:
     """Segment a frame, with the probability that each pixel is in the right segment.
 
-    Light that does not fit its segment, away from outlines, is that of small objects, or is claimed by none.
+    With ``optics``, light that does not fit its segment, away from outlines, is that of small objects, or has no depth.
 
     Args:
         pixels: depth of each pixel.
@@ -169,7 +171,8 @@ def find_regions(
         outline_rounds: most rounds of the refinement of outlines.
         refined: whether to separate layers by noise, leave outliers out of depths, and compute that probability.
         robust_rounds: most rounds of leaving outliers out.
-        optics: the pair, for outlines by the model of the frame; without, they stay where correlation puts them.
+        optics: the pair, for outlines by the model of the frame, and for small objects; without, outlines stay where
+            correlation puts them.
     """
     regions = _find_regions(prepared, volume, pixels, known, outline_rounds, refined=refined)
     if not (regions.depths and refined):
@@ -193,13 +196,16 @@ def find_regions(
         own = misfit_of(label)
     across, away = across_outlines(label)
     misfit_here, unexplained = own.over_noise, np.zeros(label.shape, dtype=bool)
-    foreign = own.is_foreign & (label > 0) & (away * step > _OUTLINE_LIGHT_PX) & ~prepared.spoiled
-    if optics is not None and foreign.any():
-        found = small_objects(prepared, optics, regions.vergence_per_m(label), foreign, misfit_here)
-        misfit_here, unexplained = misfit_here.copy(), foreign.copy()
+    if optics is not None:
+        unexplained = foreign_light(regions, own, step) & ~prepared.spoiled
+    if optics is not None and unexplained.any():
+        vergence = regions.vergence_per_m(label)
+        found = small_objects(prepared, optics, vergence, unexplained, misfit_here)
+        found = [one for one in found if one.relative_error < LARGEST_ERROR]
+        misfit_here = misfit_here.copy()
         for one in found:
             misfit_here[one.blob] = np.minimum(misfit_here[one.blob], one.misfit)
-            unexplained[one.blob] = one.mask & (one.relative_error >= LARGEST_ERROR)
+            unexplained[one.blob] = False
         regions = with_small_objects(regions, found, volume)
         label = regions.grown
         across, away = across_outlines(label)
@@ -208,15 +214,30 @@ def find_regions(
     return replace(regions, right=np.where(unexplained, 0.0, right))
 
 
+def foreign_light(regions: Regions, misfit: Misfit, step: int) -> NDArray[np.bool_]:
+    """Pixels of wide segments, away from the outlines between them, that hold light of another depth.
+
+    Args:
+        regions: segments.
+        misfit: of each pixel at its segment's depth.
+        step: frame pixels from one downsampled pixel to the next.
+
+    Returns:
+        Shape (n_y, n_x).
+    """
+    is_wide = np.array([False, *(depth.pixels * step**2 >= _WIDE_PX for depth in regions.depths)])
+    wide = np.where(is_wide[regions.grown], regions.grown, 0).astype(np.int32)
+    _, away = across_outlines(wide)
+    return misfit.is_foreign & (wide > 0) & (away * step > _OUTLINE_LIGHT_PX)
+
+
 def with_small_objects(regions: Regions, found: Sequence[SmallObject], volume: CostVolume) -> Regions:
-    """Segments, and those of small objects whose depth is known well enough to be claimed."""
+    """Segments, and those of small objects."""
     depths, (label, inside, wide) = (
         list(regions.depths),
         (one.copy() for one in (regions.label, regions.interior, regions.grown)),
     )
     for one in found:
-        if one.relative_error >= LARGEST_ERROR:
-            continue
         sums = volume.at(np.array([one.vergence_per_m]))[:, 0, *one.blob][:, one.mask].sum(axis=1, dtype=np.float64)
         pixels = float(one.mask.sum())
         power = float(np.sqrt(sums[1] * sums[2])) / pixels

@@ -6,7 +6,7 @@ an object at another depth, and the mean light that the object hides, as if nega
 
 An object is a rectangle of even light, of a contrast of its own, with a texture of 1/k spectrum. Its evidence is that
 of a Gaussian process, with the texture and both mean intensities integrated out. Depth, place and size maximise it by
-coordinate ascent. The evidence falls for rectangles that are too large as well as for those that are too small.
+ascent. The evidence falls for rectangles that are too large as well as for those that are too small.
 """
 
 from __future__ import annotations
@@ -34,17 +34,23 @@ from metafab.decode.segmentation.prepared_frame import PreparedFrame
 _WINDOW, _EVEN = 96, 44
 #: Largest side of a blob that is searched, downsampled pixels: larger objects have segments.
 _LARGEST_BLOB = 36
-#: Fewest pixels of a blob, and the misfit that one of them has at least.
-_FEWEST, _PEAK_MISFIT = 6, 6.0
+#: Fewest downsampled pixels of a blob, as windows and blur make it wide even for a small object, and the misfit that
+#: one of them has at least.
+_FEWEST, _PEAK_MISFIT = 40, 6.0
 #: Most blobs that are searched; those of the largest misfit are taken.
 _MOST_BLOBS = 40
-#: Rms contrast of an object's texture, rms of its mean intensities over the surface's, and the pair's error as a share.
-_TEXTURE, _LEVEL, _MODEL_ERROR = 0.3, 0.7, 0.01
+#: Rms contrast of an object's texture, rms of its mean intensities over the surface's, and the pair's error as a share
+#: of the surface's light.
+_TEXTURE, _LEVEL, _MODEL_ERROR = 0.2, 0.7, 0.01
 #: Candidate depths: from this ratio to the surface's vergence to this share of the largest calibrated one, their
 #: number, and how many of them are refined.
 _NEAREST_RATIO, _RANGE_SHARE, _CANDIDATES, _REFINED = 1.12, 0.97, 9, 2
 #: Steps of the sides of rectangles, downsampled pixels: at each candidate, and while depth is refined.
 _COARSE_STEPS, _FINE_STEPS = (2.0, 1.0), (0.5, 0.25, 0.12)
+#: Moves of a rectangle (middle and half sides along y and x): as a whole, and each of its sides.
+_MOVES = np.array(
+    [[1, 0, 0, 0], [0, 1, 0, 0], *([y, x, abs(y), abs(x)] for y, x in ((0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5)))]
+)
 #: Most sweeps over the sides in one step, and least half side.
 _SWEEPS, _LEAST_HALF = 5, 0.6
 #: Extent of a blob beyond its object on each side: blur and the misfit's window, downsampled pixels.
@@ -140,7 +146,7 @@ def _search(
     beside, _ = fit.ascended(surface_per_m, rectangle, light, (1.0,))
     around = [fit.evidence(vergence * (1.0 + one), rectangle, light) for one in (-0.01, 0.01)]
     curvature = (2.0 * evidence - around[0] - around[1]) / 0.01**2
-    if evidence < _LEAST_EVIDENCE or evidence - beside < _LEAST_MARGIN or curvature <= 0.0:
+    if evidence < _LEAST_EVIDENCE or evidence - beside < _LEAST_MARGIN or curvature <= 0.0 or vergence > largest:
         return None
     cover, left = fit.explained(vergence, rectangle, light)
     inside = tuple(slice(int(f), int(f) + n) for f, n in zip(first, weight.shape, strict=True))
@@ -195,7 +201,7 @@ class _NullChannel:
         crossed = surface[::-1] * (light / level * np.array([1.0, -1.0]))[:, None, None]
         noise = (level + prepared.levels.read_noise_e**2) * (n / step) ** 2
         both = np.abs(surface[0] * surface[1]) ** 2
-        error = 2.0 * (_MODEL_ERROR * _TEXTURE * light * n) ** 2 * both * _texture_power(n, step)
+        error = 2.0 * (_MODEL_ERROR * light * n) ** 2 * both * _texture_power(n, step)
         power = (np.abs(crossed) ** 2 * noise[:, None, None]).sum(axis=0) + error + 1e-6 * noise.mean()
         spectrum = (crossed * scipy.fft.rfft2(window * taper[:, None] * taper)).sum(axis=0)
         return cls(optics, nodes, crossed, spectrum, 1.0 / power, light)
@@ -227,6 +233,8 @@ class _Response:
     """What the evidence at one depth needs; correlations are of pixels' light, over the window's lags."""
 
     channel: NDArray[np.complex128]  # (2, n, n // 2 + 1), response to light in either image
+    pairs: NDArray[np.complex128]  # (3, n, n // 2 + 1), products of responses over the noise: x x, x y, y y
+    matched: NDArray[np.complex128]  # (2, n, n // 2 + 1), matched filter output, transformed
     data: FloatArray  # (2, n, n), matched filter output for a pixel's light
     lags: FloatArray  # (3, n n), correlation of responses: x with x, x with y, y with y
 
@@ -246,6 +254,8 @@ class _Fit:
         self._responses: dict[float, _Response] = {}
         n = _WINDOW
         self._pixel = np.sinc(scipy.fft.fftfreq(n))[:, None] * np.sinc(scipy.fft.rfftfreq(n))
+        pixels, self._frequencies = np.arange(n), (scipy.fft.fftfreq(n), scipy.fft.rfftfreq(n))
+        self._waves = tuple(np.exp(2j * np.pi * pixels[:, None] * one) for one in self._frequencies)
         self._grids: dict[tuple[int, int], tuple[NDArray[np.intp], FloatArray]] = {}
         covariance = scipy.fft.irfft2(_texture_power(n, channel.optics.downsampling.step), (n, n))
         self._covariance = (covariance / covariance[0, 0]).ravel()
@@ -253,15 +263,14 @@ class _Fit:
     def ascended(
         self, vergence_per_m: float, rectangle: Rectangle, light: FloatArray, steps: Sequence[float]
     ) -> tuple[float, Rectangle]:
-        """Coordinate ascent over the rectangle at one depth: the evidence and the rectangle."""
+        """Ascent over the rectangle by moves of its sides at one depth: the evidence and the rectangle."""
         best = self.evidence(vergence_per_m, rectangle, light)
         for step in steps:
             for _ in range(_SWEEPS):
                 moved = False
-                for coordinate in range(4):
+                for move in _MOVES:
                     for change in (step, -step):
-                        other = rectangle.copy()
-                        other[coordinate] += change
+                        other = rectangle + change * move
                         if not self._is_allowed(other):
                             continue
                         evidence = self.evidence(vergence_per_m, other, light)
@@ -304,11 +313,12 @@ class _Fit:
         """Coverage of pixels, and energy left in the null channel over that of noise: shapes (n, n)."""
         n, channel, system = _WINDOW, self._channel, self._system(vergence_per_m, rectangle, light)
         rows, columns = _covered(rectangle)
-        cover = np.outer(rows, columns)
-        both = light[:, None, None] * system.texture + system.levels[:, None, None] * cover
-        model = (self._response(vergence_per_m).channel * scipy.fft.rfft2(both)).sum(axis=0) * self._pixel
+        along_y, along_x = self._sides(rectangle)
+        of_texture = scipy.fft.rfft2(system.texture) * self._pixel
+        both = light[:, None, None] * of_texture + system.levels[:, None, None] * (along_y[:, None] * along_x)
+        model = (self._response(vergence_per_m).channel * both).sum(axis=0)
         left = scipy.fft.irfft2((channel.spectrum - model) * (n * np.sqrt(channel.precision)), (n, n)) ** 2
-        return cover, window_means(left.astype(np.float32)[None], _POOLED)[0]
+        return np.outer(rows, columns), window_means(left.astype(np.float32)[None], _POOLED)[0]
 
     def _is_allowed(self, rectangle: Rectangle) -> bool:
         middle, half = rectangle[:2], rectangle[2:]
@@ -320,11 +330,20 @@ class _Fit:
         if kept is None:
             n, channel = _WINDOW, self._channel.response(vergence_per_m)
             pairs = np.stack([channel[i].conj() * channel[j] for i, j in ((0, 0), (0, 1), (1, 1))])
+            pairs *= self._channel.precision
             matched = channel.conj() * (self._channel.spectrum * self._channel.precision)
-            lags = scipy.fft.irfft2(pairs * (self._channel.precision * self._pixel**2), (n, n)) * n**2
+            lags = scipy.fft.irfft2(pairs * self._pixel**2, (n, n)) * n**2
             data = scipy.fft.irfft2(matched * self._pixel, (n, n)) * n**2
-            kept = self._responses[vergence_per_m] = _Response(channel, data, lags.reshape(3, -1))
+            kept = _Response(channel, pairs * _BOTH_HALVES, matched * _BOTH_HALVES, data, lags.reshape(3, -1))
+            self._responses[vergence_per_m] = kept
         return kept
+
+    def _sides(self, rectangle: Rectangle) -> list[NDArray[np.complex128]]:
+        """Fourier transforms of a rectangle of height 1 along y, shape (n,), and x, shape (n // 2 + 1,)."""
+        return [
+            2.0 * half * np.sinc(2.0 * half * one) * np.exp(-2j * np.pi * one * middle)
+            for middle, half, one in zip(rectangle[:2], rectangle[2:], self._frequencies, strict=True)
+        ]
 
     def _grid(self, rows: int, columns: int) -> tuple[NDArray[np.intp], FloatArray]:
         """Lags between the pixels of a rectangle, and the Cholesky factor of a texture's covariance on them."""
@@ -349,15 +368,21 @@ class _Fit:
         cover, data = part.ravel(), response.data[:, *at].reshape(2, -1)
         prior = texture * (_TEXTURE * unit * cover)[:, None]
         of_x, crossed, of_y = (one[lag] for one in response.lags)
-        by_x, by_y, across, back = of_x @ cover, of_y @ cover, crossed @ cover, cover @ crossed
         textures = light[0] ** 2 * of_x + light[1] ** 2 * of_y + light[0] * light[1] * (crossed + crossed.T)
-        levels = np.stack([light[0] * by_x + light[1] * back, light[0] * across + light[1] * by_y], axis=1)
+        # The means are those of the exact rectangle: its sides need not lie between pixels.
+        along_y, along_x = self._sides(rectangle)
+        (xx, xy, yy), power_y, power_x = response.pairs, np.abs(along_y) ** 2, np.abs(along_x) ** 2
+        among = [power_y @ one.real @ power_x for one in (xx, xy, xy, yy)]
+        both = np.stack([light[0] * xx + light[1] * xy.conj(), light[0] * xy + light[1] * yy]) * self._pixel
+        wave_y, wave_x = self._waves[0][at[0]] * along_y, self._waves[1][at[1]] * along_x
+        levels = (wave_y @ both @ wave_x.T).real.reshape(2, -1)
         count = cover.size
         matrix = np.eye(count + 2)
         matrix[:count, :count] += prior.T @ (textures @ prior)
-        matrix[count:, :count] = level * (levels.T @ prior)
-        matrix[count:, count:] += level**2 * np.array([[cover @ by_x, cover @ across], [cover @ across, cover @ by_y]])
-        target = np.concatenate([prior.T @ (light @ data), level * (data @ cover)])
+        matrix[count:, :count] = level * (levels @ prior)
+        matrix[count:, count:] += level**2 * np.reshape(among, (2, 2))
+        means = (along_y.conj() @ response.matched @ along_x.conj()).real
+        target = np.concatenate([prior.T @ (light @ data), level * means])
         factor = cholesky(matrix, lower=True, check_finite=False)
         half = solve_triangular(factor, target, lower=True, check_finite=False)
         evidence = float(0.5 * half @ half - np.log(np.diag(factor)).sum())
