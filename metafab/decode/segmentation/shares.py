@@ -269,13 +269,22 @@ class _Layers:
         return tuple(slice(guard, n - guard) for n in self.optics.tiling.size)
 
     def _typical(self, groups: list[_Group], energies: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Median energy of each layer's whitened light at its pixels away from outlines: shape (n_layers,)."""
+        """Median energy of each layer's whitened light at its pixels away from outlines: shape (n_layers,).
+
+        The mean over its tiles for a layer whose pixels away from outlines lie in other tiles.
+        """
         known: list[list[NDArray[np.float32]]] = [[] for _ in self.gains]
+        means: list[list[float]] = [[] for _ in self.gains]
         for group, energy in zip(groups, energies, strict=True):
             for layer, one, own in zip(group.layer.tolist(), energy, group.own, strict=True):
                 known[layer].append(one[own])
-        joined = [np.concatenate(one) if one else np.zeros(0) for one in known]
-        return np.array([np.median(one) if one.size else 1.0 for one in joined], dtype=np.float32)
+                means[layer].append(float(one.mean()))
+        typical = np.ones(len(known), dtype=np.float32)
+        for layer, (parts, mean) in enumerate(zip(known, means, strict=True)):
+            if parts:
+                own = np.concatenate(parts)
+                typical[layer] = np.median(own) if own.size else np.mean(mean)
+        return typical
 
     def _weight(self, mean: NDArray[np.float32]) -> NDArray[np.float32]:
         """Inverse standard deviation of each pixel of the images, 0 where it is not modelled: their shape.
