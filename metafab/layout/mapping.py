@@ -88,7 +88,7 @@ class TileMapping:
         sizes *= self.aperture.inside(row, column, sizes.shape)
         inset = corner[0] - row, corner[1] - column
         if self.choice is not None:
-            fields = self.choice.improve(sizes, target, row + column)
+            fields = self.choice.improve(sizes, target)
             tile, sums = self._tile(corner, inset, sizes, target)
             core = np.s_[:, inset[0] : inset[0] + self.tile_sites, inset[1] : inset[1] + self.tile_sites]
             return tile, replace(sums, among=np.array([field[core].sum(axis=(1, 2)) for field in fields]))

@@ -14,8 +14,6 @@ from metafab.library.neighbours.solve import corrections_and_jacobian, line_corr
 
 #: Rows whose Jacobian is held at once.
 _ROWS_AT_ONCE = 32
-#: Weights of the squared residuals of reflected and transmitted light, each over its own power.
-_FACES = np.array([0.5, 1.0])
 
 
 @dataclass(frozen=True)
@@ -54,6 +52,7 @@ class FitLimits:
     steps: int = 120  #: Most steps.
     ridge: float = 2e-2  #: Weight of the squared parameters, relative to one row; grows with the degree of a term.
     gain: float = 5e-3  #: Smallest relative decrease of the loss over five steps.
+    reflected: float = 0.5  #: Weight of the squared residuals of reflected light; that of transmitted light is 1.
 
 
 def fit(
@@ -77,9 +76,9 @@ def fit(
     ridge = limits.ridge * _prior(model.shape)
     terms = [model.polynomials(rows.size_nm) for rows in sets]
     damping, losses = 1e-1, []
-    loss = _loss(model, sets, terms, ridge)
+    loss = _loss(model, sets, terms, ridge, limits.reflected)
     for step in range(limits.steps):
-        normal, gradient = _normal_equations(model, sets, terms)
+        normal, gradient = _normal_equations(model, sets, terms, limits.reflected)
         gradient = gradient + ridge * vector
         normal[np.diag_indices(vector.size)] += ridge
         scale = np.diag(normal).real.copy()
@@ -87,7 +86,7 @@ def fit(
             damped = normal.copy()
             damped[np.diag_indices(vector.size)] += damping * scale
             trial = vector - cho_solve(cho_factor(damped, overwrite_a=True), gradient)
-            trial_loss = _loss(model.with_vector(trial), sets, terms, ridge)
+            trial_loss = _loss(model.with_vector(trial), sets, terms, ridge, limits.reflected)
             if trial_loss < loss:
                 break
             damping *= 4.0
@@ -113,15 +112,10 @@ def _prior(shape: LineShape) -> FloatArray:
     return np.concatenate([*parts, np.ones(shape.hop_pairs[0].size)])
 
 
-def _residuals(rows: RowSet, correction: ComplexArray) -> ComplexArray:
-    """Weighted differences of the orders, shape (2, rows, orders), over the rms light of a row."""
-    return ((rows.local + correction) @ rows.to_orders.T - rows.amplitude) * _weights(rows)[:, None]
-
-
-def _weights(rows: RowSet) -> FloatArray:
-    """Factors of the residuals, shape (2, orders)."""
+def _weights(rows: RowSet, reflected: float) -> FloatArray:
+    """Factors of the residuals of reflected and transmitted orders over the rms light of a row, shape (2, orders)."""
     power = np.mean(np.sum(np.abs(rows.amplitude) ** 2, axis=-1), axis=1)
-    return np.asarray(np.sqrt(rows.weight * (_FACES / power)[:, None]))
+    return np.asarray(np.sqrt(rows.weight * (np.array([reflected, 1.0]) / power)[:, None]))
 
 
 def _loss(
@@ -129,28 +123,30 @@ def _loss(
     sets: Sequence[RowSet],
     terms: Sequence[FloatArray],
     ridge: FloatArray,
+    reflected: float,
 ) -> float:
     total = float(ridge @ np.abs(model.vector) ** 2)
     for rows, values in zip(sets, terms, strict=True):
-        total += float(np.sum(np.abs(_residuals(rows, scattered_corrections(model, values))) ** 2))
+        off = (rows.local + scattered_corrections(model, values)) @ rows.to_orders.T - rows.amplitude
+        total += float(np.sum(np.abs(off * _weights(rows, reflected)[:, None]) ** 2))
     return total if np.isfinite(total) else np.inf
 
 
 def _normal_equations(
-    model: LineModel, sets: Sequence[RowSet], terms: Sequence[FloatArray]
+    model: LineModel, sets: Sequence[RowSet], terms: Sequence[FloatArray], reflected: float
 ) -> tuple[ComplexArray, ComplexArray]:
     """J^H J, shape (n, n), and J^H r, shape (n,), of the weighted residuals r of all rows."""
     n = model.vector.size
     normal, gradient = np.zeros((n, n), dtype=np.complex128), np.zeros(n, dtype=np.complex128)
     for rows, values in zip(sets, terms, strict=True):
-        to_orders = rows.to_orders * _weights(rows)[..., None]
+        weights = _weights(rows, reflected)
+        to_orders = rows.to_orders * weights[..., None]
         for start in range(0, len(values), _ROWS_AT_ONCE):
             part = slice(start, start + _ROWS_AT_ONCE)
             correction, jacobian = corrections_and_jacobian(model, values[part])
             jacobian = (to_orders[:, None] @ jacobian).reshape(-1, n)
-            # The whole set's power weighs each part of it.
             off = (rows.local[:, part] + correction) @ rows.to_orders.T - rows.amplitude[:, part]
             adjoint = jacobian.conj().T
             normal += adjoint @ jacobian
-            gradient += adjoint @ (off * _weights(rows)[:, None]).ravel()
+            gradient += adjoint @ (off * weights[:, None]).ravel()
     return normal, gradient

@@ -182,9 +182,9 @@ def initial_model(shape: LineShape, along_nm: Span, across_nm: Span, seed: int) 
     site = noise(0.05, shape.terms, r.size)
     detuning = np.concatenate([np.linspace(0.8, 1.5, shape.even), np.linspace(0.9, 1.4, shape.odd)])
     site[0] = np.where(r == s, (detuning * np.exp(0.6j))[r], 0.0)
-    own, back_own = noise(0.03, shape.terms, shape.even), noise(0.03, shape.terms, shape.even)
-    side, back_side = noise(0.03, shape.terms, shape.modes), noise(0.03, shape.terms, shape.modes)
-    own[0] += 0.12
-    back_own[0] += 0.12
+    own, side = noise(0.01, shape.terms, shape.even), noise(0.01, shape.terms, shape.modes)
+    back_own, back_side = noise(0.1, shape.terms, shape.even), noise(0.01, shape.terms, shape.modes)
+    own[0] += 0.03
+    back_own[0] += 0.5
     hop = noise(0.15, shape.hop_pairs[0].size)
     return LineModel(shape, along_nm, across_nm, site, own, side, back_own, back_side, hop)
