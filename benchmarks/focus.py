@@ -10,7 +10,7 @@ lens' sites, are propagated by the dyadic Rayleigh-Sommerfeld integral, with E_z
 - ``ideal flat lens``: integral of Richards and Wolf's kind over the aperture
 
 ``error`` is the relative L2 difference of |E|^2 from Meep's within 3 wavelengths of the axis, each over its maximum;
-widths are full widths at half maximum of |E|^2, ``seconds`` processor time. About seven minutes in all; ``--quick``
+widths are full widths at half maximum of |E|^2, ``seconds`` processor time. About four minutes in all; ``--quick``
 is a lens of 6 um.
 """
 

@@ -26,7 +26,13 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.axes import CornerBox, corner_cell
 from metafab.library.library import Library
-from metafab.library.use.any_size import SOLVER_ERROR, must_be_solved, response_of_sizes, solved_amplitudes
+from metafab.library.use.any_size import (
+    SOLVER_ERROR,
+    must_be_solved,
+    response_of_sizes,
+    solved_amplitudes,
+    solver_error,
+)
 from metafab.optics.sources.source import WrittenField, made_field
 
 #: Sizes solved at a corner; twice as many for cells whose x and y axes differ.
@@ -215,7 +221,9 @@ class MaskSizes:
             mirrored = self.mirror[solved] < self.index.size
         images = self.mirror[solved[mirrored]]
         inside = np.setdiff1d(np.arange(self.index.size), np.concatenate([solved, images]))
-        t, error = np.empty_like(self.t), np.full(self.index.size, SOLVER_ERROR)
+        sides_nm, bias = self.size_nm[solved].tolist(), {"cd_bias_nm": bias_nm}
+        tasks = [(corner_cell(library.unit_cell, *sides, bias), _SLICES) for sides in sides_nm]
+        t, error = np.empty_like(self.t), np.full(self.index.size, solver_error(tasks, after))
         if inside.size:
             found = library.surface if library.is_continuous else library.at_sizes
             response = found(*(self.size_nm[inside] + bias_nm).T)

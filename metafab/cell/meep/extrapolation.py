@@ -50,8 +50,8 @@ def smoothed_limit(pixel_um: Sequence[float], values: Sequence[ComplexArray]) ->
 
     The error of such a grid deviates irregularly from c h^2, by 22 % for a circle on 36 pixels a period. The limit is
     that of weighted least squares with deviations in proportion to h^2. Its error is the largest difference from the
-    limit of any two grids, and at least the correction of the finest; of two grids one and a half times that. The
-    values of each grid have the shape (n_values,); errors are raised as by :func:`richardson`.
+    limit of any two grids, and at least the correction of the finest; of two grids twice that. The values of each grid
+    have the shape (n_values,); errors are raised as by :func:`richardson`.
     """
     if len(pixel_um) < 2 or len(pixel_um) != len(values):
         raise ValueError(f"`pixel_um`: expected two or more, as many as `values`, got {len(pixel_um)}")
@@ -62,7 +62,7 @@ def smoothed_limit(pixel_um: Sequence[float], values: Sequence[ComplexArray]) ->
     pairs = [_limit(h[[i, j]], v[[i, j]]) for i, j in combinations(range(len(h)), 2)]
     spread = max(float(np.max(np.abs(pair - value))) for pair in pairs)
     correction = float(np.max(np.abs(value - v[-1])))
-    error = 1.5 * correction if len(h) == 2 else max(spread, correction)
+    error = 2.0 * correction if len(h) == 2 else max(spread, correction)
     return Extrapolated(value, error, float(np.sum(np.abs(weights))))
 
 

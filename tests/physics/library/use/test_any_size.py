@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metafab.cell import PillarCell
 from metafab.core.errors import InputError
 from metafab.library import Library
 from metafab.library.use import any_size
@@ -49,3 +50,21 @@ def test_a_mask_far_beyond_the_library_is_refused(library: Library) -> None:
     assert len(sizes) > any_size.MOST_SOLVED
     with pytest.raises(InputError, match="wider sweep"):
         response_of_sizes(library, sizes)
+
+
+def test_sloped_circles_state_the_error_that_they_have() -> None:
+    """Five cosines and eight slices are off by a tenth at a resonant circle; upright circles and rectangles are not."""
+    circle = PillarCell(
+        (330.0, 330.0), 200.0, 200.0, 800.0, 2.461 + 0j, (1.461 + 0j,) * 2, 1.0 + 0j, 532.0, shape="ellipse"
+    )
+    sloped = [(replace(circle, sidewall_angle_deg=87.0), 8)]
+    amplitudes = any_size.solved_amplitudes(sloped)
+    # 9 cosines and 16 slices, themselves not at the limit.
+    finer = np.array([[-0.8537 - 0.5378j] * 2])
+    off = np.abs(amplitudes - finer).max()
+    assert off > 0.1
+    assert off < any_size.solver_error(sloped, amplitudes) < 0.3
+    for upright in (circle, replace(circle, shape="rectangle")):
+        tasks = [(upright, 8)]
+        found = any_size.solved_amplitudes(tasks)
+        assert any_size.solver_error(tasks, found) == any_size.SOLVER_ERROR
