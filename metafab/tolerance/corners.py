@@ -221,8 +221,10 @@ class MaskSizes:
             mirrored = self.mirror[solved] < self.index.size
         images = self.mirror[solved[mirrored]]
         inside = np.setdiff1d(np.arange(self.index.size), np.concatenate([solved, images]))
-        sides_nm, bias = self.size_nm[solved].tolist(), {"cd_bias_nm": bias_nm}
-        tasks = [(corner_cell(library.unit_cell, *sides, bias), _SLICES) for sides in sides_nm]
+        bias = {"cd_bias_nm": bias_nm}
+        tasks = [
+            (corner_cell(library.unit_cell, w, length, bias), _SLICES) for w, length in self.size_nm[solved].tolist()
+        ]
         t, error = np.empty_like(self.t), np.full(self.index.size, solver_error(tasks, after))
         if inside.size:
             found = library.surface if library.is_continuous else library.at_sizes
