@@ -79,7 +79,7 @@ def read_depths(path: Path) -> FloatArray:
 
 def _read_hdf5(path: Path, names: Sequence[str]) -> list[np.ndarray]:
     """Arrays of an HDF5 file; those of MATLAB 7.3 in MATLAB's order of axes."""
-    with h5py.File(path, "r") as file:
+    with hdf5.open_file(path) as file:
         shapes: dict[str, tuple[int, ...]] = {}
 
         def visit(name: str, item: Any) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import errno
 import math
+import mmap
 import os
 import shutil
 import zlib
@@ -142,7 +143,7 @@ def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) 
         if _damaged(path):
             got = "a damaged file (its bytes are not those that were written)"
             raise InputError.single(str(path), "file", expected, got, remedy)
-        file = h5py.File(path, "r")
+        file = open_file(path)
     except (OSError, RuntimeError) as error:
         reason = "a truncated or foreign file" if path.stat().st_size else "an empty file"
         raise InputError.single(str(path), "file", expected, f"{reason} ({error})", remedy) from error
@@ -163,6 +164,41 @@ def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) 
             raise InputError.single(
                 str(path), "content", expected, f"unreadable or missing content ({error})", remedy
             ) from error
+
+
+def open_file(path: Path) -> h5py.File:
+    """Open any HDF5 file for reading.
+
+    OSError if it is none, or if the HDF5 library would never return from its attributes; see :func:`require_modest` for
+    its arrays.
+    """
+    file = h5py.File(path, "r")
+    _, size_bytes = file.id.get_create_plist().get_sizes()
+    if _has_endless_heap(path, size_bytes):
+        file.close()
+        raise OSError("a damaged heap of texts")
+    return file
+
+
+def _has_endless_heap(path: Path, size_bytes: int) -> bool:
+    """Whether a global heap holds free space of size 0, on which the HDF5 library (1.14) steps in place forever."""
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as image:
+
+        def number(place: int, length: int) -> int:
+            return int.from_bytes(image[place : place + length], "little")
+
+        head = 8 + size_bytes  # of a heap and of each object in it
+        start = image.find(_HEAP)
+        while start >= 0:
+            end = min(start + number(start + 8, size_bytes), len(image))
+            place = start + head
+            while place + head <= end:
+                is_free, content = number(place, 2) == 0, number(place + 8, size_bytes)
+                if is_free and content == 0:
+                    return True
+                place += content if is_free else head + -(-content // 8) * 8
+            start = image.find(_HEAP, start + len(_HEAP))
+    return False
 
 
 def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None = None) -> None:
@@ -228,6 +264,8 @@ _MOST_CHUNKS = 1 << 17
 _MOST_OBJECTS = 4096
 #: What h5py, NumPy and JSON raise on content that is not what its place promises.
 _UNREADABLE = (LookupError, OSError, ValueError, TypeError, AttributeError, RuntimeError, MemoryError)
+#: Begin of a global heap of version 1, the only one, in which HDF5 keeps texts of attributes.
+_HEAP = b"GCOL\x01\x00\x00\x00"
 _SEAL = b"\nmetafab crc32 "
 #: Bytes of the checksum at the end of a file.
 SEAL_BYTES = len(_SEAL) + 9

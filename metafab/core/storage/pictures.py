@@ -8,6 +8,7 @@ import warnings
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -15,11 +16,16 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage.limits import beyond, limit
 
+if TYPE_CHECKING:
+    from tifffile import TiffFile
+
 _SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy", ".npz": "npz"}
 #: Most pixels of a picture, times its colours or pages, unless the limit ``memory_mb`` is stated: 512 MiB of floats.
 _MOST_SAMPLES, _BYTES_OF_A_SAMPLE = 1 << 26, 8
 #: Longest side of a picture (pixels); no image sensor has more.
 _LONGEST_SIDE_PX = 1 << 16
+#: Most pages of a TIFF; each costs 0.1 ms.
+_MOST_PAGES = 1 << 15
 _REMEDY = "save it as a grey TIFF, PNG or .npy of shape (rows, columns)"
 
 
@@ -66,6 +72,23 @@ def read_array(path: Path) -> np.ndarray:
         raise InputError.single(str(path), "file", f"a readable {kind} file", got, _REMEDY) from error
 
 
+def _require_end(file: TiffFile) -> None:
+    """Follow the links of the pages: ValueError if they form a circle, in which tifffile never ends, or are many."""
+    layout, stream = file.tiff, file.filehandle
+    order: Literal["little", "big"] = "little" if file.byteorder == "<" else "big"
+    offset, seen = file.pages.first.offset, set[int]()
+    while offset:
+        if offset in seen:
+            raise ValueError("its pages form a circle")
+        if len(seen) == _MOST_PAGES:
+            raise ValueError(f"more than {_MOST_PAGES} pages")
+        seen.add(offset)
+        stream.seek(offset)
+        tags = int.from_bytes(stream.read(layout.tagnosize), order)
+        stream.seek(offset + layout.tagnosize + tags * layout.tagsize)
+        offset = int.from_bytes(stream.read(layout.offsetsize), order)
+
+
 def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
     def tiff(path: Path) -> np.ndarray:
         import tifffile
@@ -73,6 +96,7 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
         # tifffile logs every unusual tag of a camera's file; a user gets one message instead.
         logging.getLogger("tifffile").setLevel(logging.CRITICAL)
         with tifffile.TiffFile(path) as file:
+            _require_end(file)
             page = file.pages.first
             # A damaged size field may claim billions of strips.
             if max(page.imagewidth, page.imagelength) > _LONGEST_SIDE_PX:

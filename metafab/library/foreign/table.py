@@ -124,7 +124,7 @@ def _npz(path: Path) -> dict[str, NDArray[np.generic]]:
 
 
 def _h5(path: Path) -> dict[str, NDArray[np.generic]]:
-    with h5py.File(path, "r") as file:
+    with hdf5.open_file(path) as file:
         names = [name for name in file if isinstance(file[name], h5py.Dataset)]
         hdf5.require_modest(file, path, names=["/" + name for name in names])
         return {name.lower(): _complex_of_parts(file[name][()]) for name in names}

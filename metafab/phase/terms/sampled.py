@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
@@ -99,7 +98,7 @@ def read_array(file: Path, dataset: str) -> NDArray[np.generic]:
             return pictures.read_array(file)
         if file.suffix == ".csv":
             return np.loadtxt(file, delimiter=",", ndmin=2)
-        with h5py.File(file, "r") as source:
+        with hdf5.open_file(file) as source:
             hdf5.require_modest(source, file, names=["/" + dataset.strip("/")])
             return np.asarray(source[dataset])
     except InputError:
