@@ -8,6 +8,8 @@
 - ``tile_shares``     a round of expectation and maximisation: light and shares of the layers in some tiles
 - ``shares``          outlines from a model of the frame with occlusion
 - ``fit``             null energy of the twins by place: whether a segment explains its pixels
+- ``null_channel``    difference of the twins in which a surface vanishes, and the evidence of light before it
+- ``small_objects``   rectangles of light before a segment, by ascent of their evidence
 - ``segments``        layers of depth, connected segments, the depth of a segment
 - ``regions``         CostVolume and PixelDepth -> Regions: all of it
 """

@@ -201,7 +201,6 @@ def find_regions(
     if optics is not None and unexplained.any():
         vergence = regions.vergence_per_m(label)
         found = small_objects(prepared, optics, vergence, unexplained, misfit_here)
-        found = [one for one in found if one.relative_error < LARGEST_ERROR]
         misfit_here = misfit_here.copy()
         for one in found:
             misfit_here[one.blob] = np.minimum(misfit_here[one.blob], one.misfit)

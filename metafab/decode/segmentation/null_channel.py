@@ -1,0 +1,315 @@
+"""The null channel of a surface, and the evidence of rectangles of light before it.
+
+Both images of a surface, each blurred once more by the other's PSF at the surface's depth, are equal up to contrast. In
+their difference, the null channel, the surface vanishes with any texture, seen or hidden. What is left is the light of
+an object at another depth, and the mean light that the object hides, as if negative and in the object's place.
+
+The evidence of a rectangle of even light with a texture of 1/k spectrum is that of a Gaussian process, with the texture
+and both mean intensities integrated out. It needs one Cholesky factor of a matrix of the rectangle's pixels.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+import scipy.fft
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.linalg.lapack import dpotrf, dpotri
+
+from metafab.core.conventions import FloatArray
+from metafab.core.numeric.compiled import compiled
+from metafab.decode.matching.filter_basis import frequencies
+from metafab.decode.matching.levels import LOWEST_FREQUENCY
+from metafab.decode.matching.pooling import window_means
+from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.prepared_frame import PreparedFrame
+
+#: Side of the square about a pixel in which a null channel is computed, downsampled pixels.
+WINDOW = 96
+#: Side of its even part, downsampled pixels.
+_EVEN = 44
+#: Rms contrast of an object's texture, rms of its mean intensities over the surface's, and the pair's error as a share
+#: of the surface's light.
+_TEXTURE, _LEVEL, _MODEL_ERROR = 0.2, 0.7, 0.01
+#: Least light of an object over the surface's.
+_LEAST_LIGHT = 0.1
+#: Side of the window over which what is left in the null channel is averaged, downsampled pixels.
+_POOLED = 5
+#: Last pivot of a system with its target as last row: above twice any evidence, so that the factor exists.
+_UNREACHED = 1e30
+
+#: Middle (row, column) and half sides (rows, columns), downsampled pixels.
+Rectangle = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class NullChannel:
+    """The null channel of a surface in a window, and the pair there; transforms of shape (n, n // 2 + 1)."""
+
+    optics: LayerOptics  #: The pair.
+    nodes: NDArray[np.complex64]  #: Shape (n_depth, 2, n, n // 2 + 1), transforms of the pair at the calibrated depths.
+    crossed: NDArray[np.complex128]  #: Shape (2, n, n // 2 + 1), what multiplies each image's transform.
+    spectrum: NDArray[np.complex128]  #: Of the null channel.
+    precision: FloatArray  #: Inverse power of its noise and of the model's error.
+    light: float  #: Mean light of the surface, electrons.
+
+    @classmethod
+    def of(
+        cls, prepared: PreparedFrame, optics: LayerOptics, middle: tuple[int, int], surface_per_m: float
+    ) -> NullChannel | None:
+        """The null channel about a pixel; None without light in both images."""
+        n, margin, step = WINDOW, prepared.downsampling.margin, prepared.downsampling.step
+        window = np.zeros((2, n, n))
+        corner = [place + margin - n // 2 for place in middle]
+        part = tuple(slice(max(0, c), min(c + n, m)) for c, m in zip(corner, prepared.images.shape[1:], strict=True))
+        images = prepared.images[:, *part]
+        level = np.median(images, axis=(1, 2)).astype(np.float64)
+        if not (level > 0.0).all():
+            return None
+        to = tuple(slice(p.start - c, p.stop - c) for p, c in zip(part, corner, strict=True))
+        window[:, *to] = images - level[:, None, None]
+        fade = (n - _EVEN) // 2
+        taper = np.ones(n)
+        taper[:fade] = np.sin(0.5 * np.pi * (np.arange(fade) + 0.5) / fade) ** 2
+        taper[n - fade :] = taper[fade - 1 :: -1]
+        block = optics.field_weights.shape[0] / prepared.downsampling.shape[0]
+        at = [min(int(place * block), m - 1) for place, m in zip(middle, optics.field_weights.shape[:2], strict=True)]
+        kernels = np.tensordot(optics.field_weights[at[0], at[1]], np.moveaxis(optics.kernels, 2, 0), axes=(0, 0))
+        size = kernels.shape[-1]
+        padded = np.zeros((*kernels.shape[:2], n, n), dtype=np.float32)
+        padded[..., :size, :size] = kernels
+        centred = np.roll(padded, (-(size // 2), -(size // 2)), (-2, -1))
+        nodes = scipy.fft.rfft2(centred).astype(np.complex64).swapaxes(0, 1)
+        light = float(level.mean())
+        surface = _at_depth(optics, nodes, surface_per_m)
+        crossed = surface[::-1] * (light / level * np.array([1.0, -1.0]))[:, None, None]
+        noise = (level + prepared.levels.read_noise_e**2) * (n / step) ** 2
+        both = np.abs(surface[0] * surface[1]) ** 2
+        error = 2.0 * (_MODEL_ERROR * light * n) ** 2 * both * _texture_power(n, step)
+        power = (np.abs(crossed) ** 2 * noise[:, None, None]).sum(axis=0) + error + 1e-6 * noise.mean()
+        spectrum = (crossed * scipy.fft.rfft2(window * taper[:, None] * taper)).sum(axis=0)
+        return cls(optics, nodes, crossed, spectrum, 1.0 / power, light)
+
+    def response(self, vergence_per_m: float) -> NDArray[np.complex128]:
+        """Transforms of the null channel of a point of light at a depth in either image: shape (2, n, n // 2 + 1)."""
+        return np.asarray(self.crossed * _at_depth(self.optics, self.nodes, vergence_per_m))
+
+
+def _at_depth(optics: LayerOptics, nodes: NDArray[np.complex64], vergence_per_m: float) -> NDArray[np.complex64]:
+    weights = optics.calibration.depth_weights(np.array([vergence_per_m]))[0]
+    return np.asarray(np.tensordot(weights.astype(np.float32), nodes, axes=(0, 0)))
+
+
+def _texture_power(n: int, step: int) -> FloatArray:
+    """Spectrum of a texture of unit variance, mean 1 over all n x n frequencies: shape (n, n // 2 + 1)."""
+    ky, kx = frequencies((n, n), step)
+    power = 1.0 / (ky[:, None] ** 2 + kx[None, :] ** 2 + LOWEST_FREQUENCY**2)
+    return np.asarray(power * (n * n / (_BOTH_HALVES * power).sum()))
+
+
+#: Weights of the frequencies of real transforms: all but the first and last column stand for two.
+_BOTH_HALVES = np.full(WINDOW // 2 + 1, 2.0)
+_BOTH_HALVES[[0, -1]] = 1.0
+
+
+class RectangleEvidence:
+    """Evidence of rectangles of light at all depths; what was asked before is kept."""
+
+    def __init__(self, channel: NullChannel) -> None:
+        """Evidence of objects before the surface of a null channel."""
+        self._channel, n = channel, WINDOW
+        self._frequencies = scipy.fft.fftfreq(n), scipy.fft.rfftfreq(n)
+        self._pixel = np.sinc(self._frequencies[0])[:, None] * np.sinc(self._frequencies[1])
+        self._waves = tuple(np.exp(2j * np.pi * np.arange(n)[:, None] * one) for one in self._frequencies)
+        self._data = channel.spectrum * channel.precision
+        self._evidence: dict[tuple[float, ...], float] = {}
+        self._responses: dict[tuple[float, ...], _Response] = {}
+        self._sides: dict[tuple[int, float, float], _Side] = {}
+
+    def at(self, vergence_per_m: float, rectangle: Rectangle, light: FloatArray) -> float:
+        """Logarithm of the evidence over that of no object.
+
+        Args:
+            vergence_per_m: 1/depth.
+            rectangle: shape (4,).
+            light: shape (2,), light of the texture in both images over the surface's.
+        """
+        place = vergence_per_m, *rectangle.tolist(), *light.tolist()
+        kept = self._evidence.get(place)
+        if kept is None:
+            kept = self._evidence[place] = self._solution(vergence_per_m, rectangle, light).evidence
+        return kept
+
+    def light(self, vergence_per_m: float, rectangle: Rectangle, light: FloatArray) -> FloatArray:
+        """Mean light of a rectangle in both images over that of the surface, shape (2,), given that of its texture."""
+        return self._solution(vergence_per_m, rectangle, light).light
+
+    def left(self, vergence_per_m: float, rectangle: Rectangle, light: FloatArray) -> NDArray[np.float32]:
+        """Energy that a rectangle leaves in the null channel over that of noise: shape (n, n)."""
+        n, channel, solution = WINDOW, self._channel, self._solution(vergence_per_m, rectangle, light)
+        y, x = self._extent(rectangle)
+        texture = scipy.fft.rfft2(solution.texture) * self._pixel
+        both = light[:, None, None] * texture + solution.levels[:, None, None] * np.outer(y.light, x.light)
+        model = (channel.response(vergence_per_m) * both).sum(axis=0)
+        left = scipy.fft.irfft2((channel.spectrum - model) * (n * np.sqrt(channel.precision)), (n, n)) ** 2
+        return np.asarray(window_means(left.astype(np.float32)[None], _POOLED)[0])
+
+    def cover(self, rectangle: Rectangle) -> FloatArray:
+        """Share of each pixel that a rectangle covers: shape (n, n)."""
+        cover, (y, x) = np.zeros((WINDOW, WINDOW)), self._extent(rectangle)
+        cover[y.at, x.at] = np.outer(y.cover, x.cover)
+        return cover
+
+    def _response(self, vergence_per_m: float, light: FloatArray) -> _Response:
+        place = vergence_per_m, *light.tolist()
+        kept = self._responses.get(place)
+        if kept is None:
+            n, (x, y) = WINDOW, self._channel.response(vergence_per_m)
+            lit = light[0] * x + light[1] * y
+            weight = self._channel.precision * _BOTH_HALVES
+            lags = scipy.fft.irfft2((lit.real**2 + lit.imag**2) * self._channel.precision * self._pixel**2, (n, n))
+            kept = self._responses[place] = _Response(
+                np.hstack([weight * (i.real * j.real + i.imag * j.imag) for i, j in ((x, x), (x, y), (y, y))]),
+                np.stack((x, y)) * (lit.conj() * weight * self._pixel),
+                np.hstack([one.conj() * self._data * _BOTH_HALVES for one in (x, y)]),
+                scipy.fft.irfft2(lit.conj() * self._data * self._pixel, (n, n)) * n**2,
+                np.roll(lags, n // 2, 1)[:, ::-1] * n**2,
+            )
+        return kept
+
+    def _extent(self, rectangle: Rectangle) -> tuple[_Side, _Side]:
+        """Extent of a rectangle along y and x."""
+        middle_y, middle_x, half_y, half_x = rectangle.tolist()
+        return self._side(0, middle_y, half_y), self._side(1, middle_x, half_x)
+
+    def _side(self, axis: int, middle: float, half: float) -> _Side:
+        kept = self._sides.get((axis, middle, half))
+        if kept is None:
+            first, last = math.floor(middle - half + 0.5), math.ceil(middle + half - 0.5)
+            pixels, frequency = np.arange(first, last + 1), self._frequencies[axis]
+            cover = np.minimum(pixels + 0.5, middle + half) - np.maximum(pixels - 0.5, middle - half)
+            light = 2.0 * half * np.sinc(2.0 * half * frequency) * np.exp(-2j * np.pi * middle * frequency)
+            wave = self._waves[axis][first : last + 1] * light
+            kept = _Side(slice(first, last + 1), cover, light, np.abs(light) ** 2, wave)
+            self._sides[axis, middle, half] = kept
+        return kept
+
+    def _solution(self, vergence_per_m: float, rectangle: Rectangle, light: FloatArray) -> _Solution:
+        """Texture and mean intensities of a rectangle, and their evidence.
+
+        The unknowns are the texture of each pixel, of the covariance of :func:`_inverse_covariance`, and both means,
+        independent and of unit variance in the prior.
+        """
+        response, unit = self._response(vergence_per_m, light), self._channel.light
+        level, (y, x) = _LEVEL * unit, self._extent(rectangle)
+        cover = (_TEXTURE * unit) * y.cover[:, None] * x.cover
+        inverse, half_determinant = _inverse_covariance(*cover.shape, self._channel.optics.downsampling.step)
+        # The means are those of the exact rectangle: its sides need not lie between pixels.
+        among = (y.power @ response.pairs).reshape(3, -1) @ x.power
+        levels = (y.wave @ response.lit @ x.wave.T).real * (level * cover)
+        means = ((y.light.conj() @ response.matched).reshape(2, -1) @ x.light.conj()).real
+        # The last row of the Cholesky factor of a matrix with the target as last row is the solution of the lower one.
+        count = cover.size
+        matrix = np.empty((count + 3, count + 3))
+        _fill(matrix, inverse, cover, response.lags)
+        matrix[count:-1, :count] = levels.reshape(2, -1)
+        matrix[count:-1, count:-1] = level**2 * among[[[0, 1], [1, 2]]] + np.eye(2)
+        matrix[-1, :count] = (cover * response.data[y.at, x.at]).ravel()
+        matrix[-1, count:-1] = level * means
+        matrix[-1, -1] = _UNREACHED
+        # The transpose is in LAPACK's order of elements.
+        factor, failed = dpotrf(matrix.T, lower=False, clean=False, overwrite_a=True)
+        if failed:
+            raise np.linalg.LinAlgError(f"the system of a rectangle of {cover.shape} pixels is not positive definite")
+        half = factor[:-1, -1]
+        evidence = 0.5 * half @ half - np.log(np.diagonal(factor)[:-1]).sum() - half_determinant
+        return _Solution(float(evidence), factor, cover, (y.at, x.at), unit)
+
+
+@dataclass(frozen=True)
+class _Response:
+    """What the evidence at one depth needs, for a texture lit differently in both images; a lit pixel has light 1."""
+
+    pairs: FloatArray  # (n, 3 (n // 2 + 1)), products of both images' responses, side by side: x x, x y, y y
+    lit: NDArray[np.complex128]  # (2, n, n // 2 + 1), products of either image's response and a lit pixel's
+    matched: NDArray[np.complex128]  # (n, 2 (n // 2 + 1)), matched filter output of both images, side by side
+    data: FloatArray  # (n, n), matched filter output for a lit pixel
+    lags: FloatArray  # (n, n), correlation of lit pixels' responses at lags (i, n // 2 - 1 - j)
+
+
+@dataclass(frozen=True)
+class _Side:
+    """Extent of a rectangle along one axis."""
+
+    at: slice  # pixels that it covers
+    cover: FloatArray  # shares of them
+    light: NDArray[np.complex128]  # (n or n // 2 + 1,), transform of light of height 1
+    power: FloatArray  # its squared magnitude
+    wave: NDArray[np.complex128]  # (n_pixels, n or n // 2 + 1), its correlation with light at each pixel, transformed
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """Evidence of a rectangle, and what its texture and mean intensities follow from."""
+
+    evidence: float
+    factor: FloatArray
+    cover: FloatArray
+    at: tuple[slice, ...]
+    unit: float
+
+    @cached_property
+    def _unknowns(self) -> FloatArray:
+        return np.asarray(
+            solve_triangular(self.factor[:-1, :-1], self.factor[:-1, -1], lower=False, check_finite=False)
+        )
+
+    @property
+    def levels(self) -> FloatArray:
+        """Mean light in both images minus that of the surface, shape (2,), electrons."""
+        return self._unknowns[-2:] * (_LEVEL * self.unit)
+
+    @property
+    def light(self) -> FloatArray:
+        """Mean light in both images over that of the surface, shape (2,)."""
+        return np.maximum(1.0 + self.levels / self.unit, _LEAST_LIGHT)
+
+    @property
+    def texture(self) -> FloatArray:
+        """Light of the texture, shape (n, n), electrons."""
+        texture = np.zeros((WINDOW, WINDOW))
+        texture[self.at] = self.cover * self._unknowns[:-2].reshape(self.cover.shape)
+        return texture
+
+
+@lru_cache(maxsize=64)
+def _inverse_covariance(rows: int, columns: int, step: int) -> tuple[FloatArray, float]:
+    """Inverse of a texture's covariance on the pixels of a rectangle, and half its logarithmic determinant."""
+    n = WINDOW
+    lags = scipy.fft.irfft2(_texture_power(n, step), (n, n))
+    y, x = (one.ravel() for one in np.indices((rows, columns)))
+    covariance = lags[y[:, None] - y, x[:, None] - x] / lags[0, 0] + 1e-6 * np.eye(y.size)
+    factor, _ = dpotrf(covariance, lower=True)
+    inverse, _ = dpotri(factor, lower=True)
+    return np.ascontiguousarray(inverse), float(np.log(np.diag(factor)).sum())
+
+
+@compiled
+def _fill(matrix: FloatArray, inverse: FloatArray, cover: FloatArray, lags: FloatArray) -> None:
+    """Lower triangle of the pixels' part of a system: inverse covariance, and correlation of lit pixels' responses.
+
+    ``lags`` as in :class:`_Response`: even in both lags together.
+    """
+    rows, columns = cover.shape
+    middle = lags.shape[1] // 2 - 1
+    for i in range(rows):
+        for j in range(columns):
+            row, own, lit = matrix[i * columns + j], inverse[i * columns + j], cover[i, j]
+            for k in range(i + 1):
+                to, of, with_, at = row[k * columns :], own[k * columns :], cover[k], lags[i - k, middle - j :]
+                for m in range(columns):
+                    to[m] = of[m] + lit * with_[m] * at[m]
