@@ -88,7 +88,7 @@ def small_objects(
 
     Returns:
         The objects found, those of the largest misfit first, with errors below ``LARGEST_ERROR``; none where light of
-        the surface's depth explains as much.
+        the surface's depth explains as much, and none at the border of the picture.
     """
     component, _ = connected_components(foreign)
     blobs: list[tuple[float, tuple[slice, slice], NDArray[np.bool_]]] = []
@@ -96,7 +96,10 @@ def small_objects(
         at = rows, columns
         own = np.asarray(component[at] == number)
         strength = misfit[at][own]
-        if own.sum() >= _FEWEST and strength.max() >= _PEAK_MISFIT and max(own.shape) <= _LARGEST_BLOB:
+        # At the border of the picture, light that does not fit may be that from beyond it.
+        is_within = all(one.start > 0 and one.stop < size for one, size in zip(at, foreign.shape, strict=True))
+        is_wide = own.sum() >= _FEWEST and max(own.shape) <= _LARGEST_BLOB
+        if is_within and is_wide and strength.max() >= _PEAK_MISFIT:
             blobs.append((float(strength.sum()), at, own))
 
     def searched(blob: tuple[float, tuple[slice, slice], NDArray[np.bool_]]) -> SmallObject | None:

@@ -14,10 +14,12 @@ from tests.conjugate_pair import helix_psf
 WALL_M = 0.0034
 
 
-def decoded(*things: SceneObject, wall: SceneObject | None = None) -> tuple[Image4D, RawFrame]:
+def decoded(
+    *things: SceneObject, wall: SceneObject | None = None, columns: int = 260, seed: int = 4
+) -> tuple[Image4D, RawFrame]:
     psf = helix_psf(1.0 / np.linspace(1 / 0.0038, 1 / 0.0024, 13))
     wall = wall or SceneObject(depth_m=WALL_M, size=(0.6, 0.6))
-    frame = capture(Scene(objects=(wall, *things), photons_per_pixel=3000.0, field_px=(260, 165), seed=4), psf)
+    frame = capture(Scene(objects=(wall, *things), photons_per_pixel=3000.0, field_px=(columns, 165), seed=seed), psf)
     return decode(frame, psf), frame
 
 
@@ -49,3 +51,11 @@ def test_a_patch_of_another_contrast_on_the_wall_is_no_object() -> None:
     image, frame = decoded(patch)
     assert all(abs(one.depth_m / WALL_M - 1.0) < 0.02 for one in image.segments)
     assert np.nanmax(np.abs(errors_of(image, frame, 1))) < 0.02
+
+
+def test_light_from_beyond_the_picture_is_no_object() -> None:
+    """Blobs at the border were taken for objects at 0.0025 m."""
+    thing = SceneObject(depth_m=0.0027, size=(0.04, 0.04), polarisation_contrast=2.0)
+    image, frame = decoded(thing, columns=320, seed=9)
+    assert abs(np.nanmedian(errors_of(image, frame, 2))) < 0.02
+    assert len(image.segments) == 2
