@@ -23,6 +23,7 @@ import resource
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -122,8 +123,8 @@ def audit(seed: int, samples: int) -> Iterator[Case]:
 
     Answers that are kept are taken from there.
     """
-    code = sources_sha256((), ("cell",))[:12]
-    file = KEPT / f"seed_{seed}_{code}.jsonl"
+    code = sha256(sources_sha256(("metafab.cell",), ("cell",)).encode() + Path(__file__).read_bytes())
+    file = KEPT / f"seed_{seed}_{code.hexdigest()[:12]}.jsonl"
     file.parent.mkdir(parents=True, exist_ok=True)
     kept = dict(_kept(file))
     for number in range(-(-samples // len(TARGETS))):
