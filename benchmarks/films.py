@@ -37,7 +37,7 @@ READINGS = 200
 
 def rows(quick: bool, samples: int | None = None) -> list[dict[str, Any]]:
     """A row of each decoder: small frames by themselves and as a film, and a film of full size."""
-    count = samples or (200 if quick else 10_000)
+    count = max(2, samples or (200 if quick else 10_000))
     design = load_design(DESIGN)
     source, imaging, depth_m = optics_of(design)
     psf = optics.psf(source, imaging, depth_m)
