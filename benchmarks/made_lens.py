@@ -24,13 +24,16 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
 from scipy.ndimage import gaussian_filter
 
+from benchmarks import made_lens_sizes
 from benchmarks.made_lens_sizes import SLICES, TABLE_NM, WALLS_DEG, Sizes, SizeSums
 from metafab import layout, library, optics
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.measure import measured
 from metafab.core.parallel.work import Work
+from metafab.core.storage.files import file_sha256, fingerprint
+from metafab.core.storage.provenance import sources_sha256
 from metafab.layout.pillars import PillarMap
-from metafab.library.library import Library
+from metafab.library.library import Library, inputs_of
 from metafab.library.store import load, save
 from metafab.optics.geometry.crystal import Crystal
 from metafab.optics.measures.metrics import pinhole_efficiency
@@ -282,8 +285,13 @@ class MadeLens:
 
 
 def explain(folder: Path, aperture_um: float) -> tuple[MadeLens, Explanation, dict[str, FloatArray]]:
-    """The figures, the tables and the draws; libraries are kept in ``folder``."""
+    """The figures, the tables and the draws.
+
+    Solved sizes are kept in a subfolder of ``folder``, until the unit cell or the code changes.
+    """
     design = load_design(DESIGN)
+    code = sources_sha256(("metafab.library.use.any_size",), ()), file_sha256(Path(made_lens_sizes.__file__))
+    folder = folder / fingerprint(inputs_of(design.unit_cell), *code)[:12]
     assert design.measured is not None and design.measured.efficiency_x is not None
     measured_x, measured_y = design.measured.efficiency_x, float(design.measured.efficiency_y or 0.0)
     extinction = float(design.measured.extinction_ratio or 0.0)
