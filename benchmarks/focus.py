@@ -10,8 +10,8 @@ lens' sites, are propagated by the dyadic Rayleigh-Sommerfeld integral, with E_z
 - ``ideal flat lens``: integral of Richards and Wolf's kind over the aperture
 
 ``error`` is the relative L2 difference of |E|^2 from Meep's within 3 wavelengths of the axis, each over its maximum;
-widths are full widths at half maximum of |E|^2, ``seconds`` processor time. About four minutes in all; ``--quick``
-is a lens of 6 um.
+widths are full widths at half maximum of |E|^2. ``seconds`` is the processor time of Meep; in each other row, that of
+all other work together. ``peak_rss_mb`` is that of Meep. About four minutes in all; ``--quick`` is a lens of 6 um.
 """
 
 from __future__ import annotations
@@ -201,7 +201,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
                 "name": name,
                 "error": float(np.linalg.norm(difference) / np.linalg.norm(meep / meep.max())),
                 "seconds": spent.ru_utime + spent.ru_stime if name == "Meep" else seconds,
-                "peak_rss_mb": spent.ru_maxrss / 1024.0,
+                "peak_rss_mb": spent.ru_maxrss * 1024 / 1e6,
                 "fwhm_x_um": along_x,
                 "fwhm_y_um": along_y,
                 "ellipticity": along_x / along_y,
