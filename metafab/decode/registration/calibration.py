@@ -41,9 +41,12 @@ class Calibration:
         rate_y, rate_x = _change_per_tangent(self.kernels)
         return 2.0 * change / max(rate_y * pixel_tangent, 1e-12), 2.0 * change / max(rate_x * pixel_tangent, 1e-12)
 
-    def tile_weights(self, tiling: Tiling) -> NDArray[np.float32]:
-        """Interpolation weights of the field points at each tile's centre: shape (n_tiles, n_field)."""
-        row, column = self.grid.margin + tiling.middles.T
+    def tile_weights(self, tiling: Tiling, step: int = 1) -> NDArray[np.float32]:
+        """Interpolation weights of the field points at each tile's centre: shape (n_tiles, n_field).
+
+        Tiles are those of every ``step``-th pixel.
+        """
+        row, column = self.grid.margin + np.minimum(step * tiling.middles, np.array(self.grid.shape) - 1).T
         weights = self.kernels.field_weights(self.grid.tangent_x[row, column], self.grid.tangent_y[row, column])
         return weights.reshape(tiling.n_tiles, -1).astype(np.float32)
 

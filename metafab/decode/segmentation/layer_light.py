@@ -109,13 +109,9 @@ class LayerOptics:
         kernels = scipy.fft.irfft2(low, (size, size)).astype(np.float32)
         core = _CORE_PX / step
         tiling = Tiling.over(downsampling.shape, downsampling.margin, (core, core))
-        row, column = np.minimum(step * tiling.middles, np.array(downsampling.window) - 1).T + calibration.grid.margin
-        grid = calibration.grid
-        weights = calibration.kernels.field_weights(grid.tangent_x[row, column], grid.tangent_y[row, column])
         # A tile of a small window may be smaller than the kernels.
         rows, columns = (slice((size - min(size, n)) // 2, (size + min(size, n)) // 2) for n in tiling.size)
-        field = weights.reshape(tiling.n_tiles, -1).astype(np.float32)
-        of_tiles = np.tensordot(field, kernels[..., rows, columns], axes=(1, 2))
+        of_tiles = np.tensordot(calibration.tile_weights(tiling, step), kernels[..., rows, columns], axes=(1, 2))
         return cls(
             calibration,
             downsampling,
