@@ -51,7 +51,9 @@ class DecoderNumerics:
     #: Whether to separate layers by noise, leave outliers out of segments' depths, and compute the probability that a
     #: pixel is in the right segment; without, decoding is faster.
     refined: bool = True
-    modelled: bool = True  #: Whether a model of the frame with occlusion refines outlines of segments, if ``refined``.
+    #: Whether a model of the frame with occlusion refines outlines of segments, and small objects are searched, if
+    #: ``refined``.
+    modelled: bool = True
     kept_bytes: int = KEPT_BYTES  #: Most memory of the transfer functions that are kept for the next frame.
     #: Pixels from one compared pixel to the next; None for the largest step that keeps the information about depth
     #: (:func:`metafab.decode.matching.filters.coarsest_step`).
@@ -198,7 +200,7 @@ class Decoder:
 
     @cached_property
     def layer_optics(self) -> LayerOptics:
-        """The pair on the downsampled pixels, for the model of the frame along outlines."""
+        """The pair on the downsampled pixels, for the model of the frame along outlines and for small objects."""
         return LayerOptics.of(self.calibration, self.filters.downsampling)
 
     def complete(self, prepared: PreparedFrame, volume: CostVolume) -> DecodedFrame:

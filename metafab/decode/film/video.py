@@ -65,7 +65,7 @@ class VideoDecoder:
     _changes: int = field(default=0, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Leave out the model of the frame along outlines: it is slow, and parts of a frame are decoded without it."""
+        """Leave out the model of the frame and small objects: both are slow, and parts are decoded without them."""
         self.decoder = replace(self.decoder, numerics=replace(self.decoder.numerics, modelled=False))
 
     def __call__(self, frame: RawFrame) -> Image4D:

@@ -232,10 +232,8 @@ def foreign_light(regions: Regions, misfit: Misfit, step: int) -> NDArray[np.boo
 
 def with_small_objects(regions: Regions, found: Sequence[SmallObject], volume: CostVolume) -> Regions:
     """Segments, and those of small objects."""
-    depths, (label, inside, wide) = (
-        list(regions.depths),
-        (one.copy() for one in (regions.label, regions.interior, regions.grown)),
-    )
+    depths = list(regions.depths)
+    label, inside, wide = regions.label.copy(), regions.interior.copy(), regions.grown.copy()
     for one in found:
         sums = volume.at(np.array([one.vergence_per_m]))[:, 0, *one.blob][:, one.mask].sum(axis=1, dtype=np.float64)
         pixels = float(one.mask.sum())
