@@ -43,7 +43,7 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
 
     Returns:
         A frame of both images and the margin of their blur. Its pixels stand on whole multiples of ``psf.pixel_um``
-            from the axis.
+        from the axis.
 
     Raises:
         InputError: a depth is outside the calibrated range, or the two images overlap.

@@ -68,7 +68,7 @@ def exact_psf(
 
     Returns:
         The stack over the scene's depths and its field. ``details`` has ``field_interpolation_error``, the largest
-            error of the checked directions.
+        error of the checked directions.
 
     Raises:
         InputError: more than 256 depths, or a field that 64 points a side do not resolve.

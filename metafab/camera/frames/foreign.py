@@ -52,7 +52,7 @@ def load_frame(path: Path, psf: Psf, *, counts: Counts = _ELECTRONS, first_row: 
 
     Returns:
         The frame in electrons, its lowest row first. Its ``saturation_e`` is ``counts.white``; without it, the file
-            type's largest value, or the frame's own largest value where many pixels share it (``saturation_assumed``).
+        type's largest value, or the frame's own largest value where many pixels share it (``saturation_assumed``).
 
     Raises:
         InputError: the file cannot be read, is no grey picture, or is metafab's own, in electrons already.

@@ -221,8 +221,8 @@ def best_candidates(
 
     Returns:
         Number of the best candidate, shape (n_y, n_x); the correlation at every half step from the candidate below to
-            the one above it (of the nearest candidate that has both neighbours), shape (5, n_y, n_x); the largest mean
-            of a b, shape (n_y, n_x).
+        the one above it (of the nearest candidate that has both neighbours), shape (5, n_y, n_x); the largest mean
+        of a b, shape (n_y, n_x).
     """
     shape = products.shape[2:]
     best, around = np.zeros(shape, dtype=np.intp), np.zeros((5, *shape), dtype=np.float32)
