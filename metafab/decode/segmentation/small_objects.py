@@ -29,6 +29,9 @@ _LARGEST_BLOB = 36
 #: Fewest downsampled pixels of a blob, as windows and blur make it wide even for a small object, and the misfit that
 #: one of them has at least.
 _FEWEST, _PEAK_MISFIT = 40, 6.0
+#: Least distance of a blob from the border of the picture, half the misfit's window, downsampled pixels: its light may
+#: be that from beyond the border.
+_BORDER = 2
 #: Most blobs that are searched; those of the largest misfit are taken.
 _MOST_BLOBS = 40
 #: Candidate depths: from this ratio to the surface's vergence to this share of the largest calibrated one, and their
@@ -96,8 +99,8 @@ def small_objects(
         at = rows, columns
         own = np.asarray(component[at] == number)
         strength = misfit[at][own]
-        # At the border of the picture, light that does not fit may be that from beyond it.
-        is_within = all(one.start > 0 and one.stop < size for one, size in zip(at, foreign.shape, strict=True))
+        ends = zip(at, foreign.shape, strict=True)
+        is_within = all(one.start >= _BORDER and one.stop <= size - _BORDER for one, size in ends)
         is_wide = own.sum() >= _FEWEST and max(own.shape) <= _LARGEST_BLOB
         if is_within and is_wide and strength.max() >= _PEAK_MISFIT:
             blobs.append((float(strength.sum()), at, own))
