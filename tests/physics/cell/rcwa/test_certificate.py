@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from metafab.cell import CellNumerics, PillarCell
+from metafab.cell.pillar import Slice
 from metafab.cell.rcwa import solve, zero_order
 from metafab.cell.rcwa.certificate import is_measured
 from metafab.cell.rcwa.jones import ZeroOrder
@@ -213,3 +214,16 @@ def test_truncations_that_do_not_resolve_the_waves_in_the_pillar_state_no_error_
     # 10 cosines are off by 0.01 themselves.
     assert np.abs(few.t - reference.t).max() > 0.08
     assert np.abs(more.t - reference.t).max() + 0.01 <= more.error < 1.0
+
+
+def test_truncations_that_do_not_resolve_the_waves_guided_in_a_film_state_no_error_below_one() -> None:
+    """3.5 wavelengths in a film of index 4.25: 5 and 6 cosines differ by 0.001, and both are off by 0.02."""
+    film = Slice(69.3, 4.25 + 0j, 4.25 + 0j)
+    cell = PillarCell(
+        (499.2, 499.2), 192.3, 176.3, 454.2, 1.952, (1.46, 1.46), 1.0, 606.0, side="substrate", under=(film,)
+    )
+    few, more = (solve(cell, CellNumerics(1e-2, max_orders=count)) for count in (6, 10))
+    reference = zero_order(cell, 12)
+    assert few.error == 1.0 and not few.converged
+    assert np.abs(few.t - reference.t).max() > 0.02
+    assert np.abs(more.t - reference.t).max() <= more.error < 1.0
