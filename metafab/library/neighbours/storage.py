@@ -70,12 +70,9 @@ def _line(group: h5py.Group) -> TrainedLine:
     expected = dict(zip(PARAMETERS, ((shape.terms, n_pairs), own, side, own, side, (n_hops,)), strict=True))
     # Older files hold the source itself, which is the reflected field of modes that radiate at their own site only.
     stored = {"back_own": "source"} if "source" in group else {}
-    arrays = {
-        name: np.asarray(group[stored.get(name, name)][()], dtype=np.complex128)
-        if stored.get(name, name) in group or not stored
-        else np.zeros(expected[name], dtype=np.complex128)
-        for name in PARAMETERS
-    }
+    read = [name for name in PARAMETERS if not (stored and name == "back_side")]
+    arrays = {name: np.asarray(group[stored.get(name, name)][()], dtype=np.complex128) for name in read}
+    arrays.setdefault("back_side", np.zeros(expected["back_side"], dtype=np.complex128))
     for name, array in arrays.items():
         if array.shape != expected[name]:
             raise KeyError(f"{name} of shape {expected[name]} in {group.name}")

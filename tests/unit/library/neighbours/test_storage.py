@@ -6,6 +6,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
 
 from metafab.library.neighbours.line import PARAMETERS, LineShape, initial_model
 from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
@@ -23,6 +24,10 @@ def test_chains_of_earlier_versions_hold_their_source(tmp_path: Path) -> None:
             group["source"] = model.source
             del group["back_own"], group["back_side"]
         new, old = (neighbours_of(file[name]).along[0] for name in ("new", "old"))
+        for group in file["old"].values():
+            del group["site"]
+        with pytest.raises(KeyError, match="site"):
+            neighbours_of(file["old"])
     assert new.statistics.rows == old.statistics.rows == 10
     assert all(np.array_equal(getattr(new.model, name), getattr(model, name)) for name in PARAMETERS)
     terms = model.polynomials(np.random.default_rng(1).uniform(100.0, 200.0, (3, 5, 2)))
