@@ -121,8 +121,10 @@ def _preflight(job: Job) -> PreflightFigures:
     from metafab.cell.open_orders import open_orders
 
     preflight(job.design)
-    orders = open_orders(job.design.unit_cell) if job.design.has_mask else ()
-    return PreflightFigures((*(order.sentence() for order in orders), *mask.announcement(job.design)))
+    cells = [(f"at {x.wavelength_nm:g} nm, ", job.at_light(x).design.unit_cell) for x in job.design.light]
+    cells = cells or [("", job.design.unit_cell)]
+    orders = [at + each.sentence() for at, cell in cells if job.design.has_mask for each in open_orders(cell)]
+    return PreflightFigures((*orders, *mask.announcement(job.design)))
 
 
 #: Runs before all other steps and writes no file.
