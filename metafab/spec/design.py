@@ -334,12 +334,14 @@ class Design(Checked):
             yield f"the `light` of {own_nm:g} nm, the unit cell's, has the design's `phase`; leave out `light.phase`"
         rules = self.rules
         hindrances = {
-            'gap_rule = "pairs"': rules.gap_rule == "pairs",
-            "cd_sigma_nm": rules.cd_sigma_nm > 0.0,
-            "neighbours": rules.neighbours,
+            'rules.gap_rule = "pairs"': rules.gap_rule == "pairs",
+            "rules.cd_sigma_nm": rules.cd_sigma_nm > 0.0,
+            "rules.neighbours": rules.neighbours,
+            # Libraries at other wavelengths have no model of neighbours.
+            "optics.neighbours": self.optics is not None and self.optics.neighbours is True,
         }
         if given := [name for name, stands in hindrances.items() if stands]:
-            yield f"`light` is not available with `rules.{'`, `rules.'.join(given)}`; leave one out"
+            yield f"`light` is not available with `{'`, `'.join(given)}`; leave one out"
 
     def at_light(self, light: Light) -> Design:
         """Return the design for one light alone: with its wavelength, and with its phase terms if it has its own.

@@ -8,6 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from metafab.spec import Design, Light
+from metafab.spec.design import Optics
 from metafab.spec.terms import Lens
 from tests.main_job import SMALL, metafab
 
@@ -23,6 +24,8 @@ def test_several_lights_are_checked(small_design: Design) -> None:
         replace(small_design, light=(OTHER, Light(800.0, phase=(Lens(),))))
     with pytest.raises(ValidationError, match=r"not available with `rules\.gap_rule"):
         replace(small_design, light=(OTHER, OWN), rules=replace(small_design.rules, gap_rule="pairs"))
+    with pytest.raises(ValidationError, match=r"not available with `optics\.neighbours`"):
+        replace(small_design, light=(OTHER, OWN), optics=Optics(neighbours=True))
     with pytest.raises(ValidationError, match="phase"):
         Light(700.0, phase=())
 
