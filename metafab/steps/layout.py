@@ -38,6 +38,12 @@ class LayoutFigures(MappingFigures):
     lights: tuple[LightMapping, ...] | None = optional()
     write_time: WriteTime | None = optional()  #: Time on the e-beam writer; None without ``mask.exposure``.
 
+    def warnings(self) -> list[str]:
+        """Return the sentences of :class:`MappingFigures`, for each wavelength that the mask serves."""
+        if self.lights is None:
+            return super().warnings()
+        return [f"at {light.wavelength_nm:g} nm, {text}" for light in self.lights for text in light.figures.warnings()]
+
 
 @dataclass(frozen=True)
 class DrcFigures:

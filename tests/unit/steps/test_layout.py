@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from metafab.core.errors import InputError
+from metafab.core.figures import LightMapping
 from metafab.core.storage.files import plain
 from metafab.core.storage.tables import typed
 from metafab.library import Library, save
@@ -52,3 +53,12 @@ def test_equal_copies_are_written_and_timed(smooth_library: Library, tmp_path: P
     recorded = {path.name for path in LAYOUT.outputs(Job(design, made.folder))}
     assert recorded == {path.name for path in made.folder.iterdir()} - {"library.h5", "design.toml"}
     assert "fields.csv" in recorded
+
+
+def test_pillars_of_unknown_response_are_told_at_each_wavelength(smooth_library: Library, tmp_path: Path) -> None:
+    own = replace(write_layout(job(tmp_path, smooth_library, 0.0)), doubtful_pillars=0)
+    blue = replace(own, doubtful_pillars=own.pillars // 2, worst_library_error=0.3)
+    lights = tuple(LightMapping(nm, 1.0, (0.0, 0.0), each) for nm, each in ((460.0, blue), (800.0, own)))
+    (told,) = replace(own, lights=lights).warnings()
+    assert told.startswith("at 460 nm, 50 % of the pillars")
+    assert own.warnings() == []
