@@ -97,7 +97,7 @@ def library_path(job: Job) -> Path:
     """
     source = job.design.library
     if job.nominal is not None and not _is_swept(job.nominal, job.design):
-        source = source.with_stem(f"{source.stem}_{job.design.unit_cell.illumination.wavelength_nm:g}nm")
+        source = source.with_stem(f"{source.stem}_{job.design.unit_cell.illumination.wavelength_nm:.12g}nm")
     if source.suffix == ".h5":
         return source
     if not job.skips:

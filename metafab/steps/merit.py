@@ -297,7 +297,7 @@ def _space_variance(imaging: Imaging, written: Psf) -> SpaceVarianceFigures | No
 
 
 def _light_path(job: Job, light: Light) -> Path:
-    return job.folder / f"psf_{light.wavelength_nm:g}nm.h5"
+    return job.folder / f"psf_{light.wavelength_nm:.12g}nm.h5"
 
 
 def _at_light(job: Job, light: Light) -> LightFigures:
