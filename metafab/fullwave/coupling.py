@@ -93,7 +93,7 @@ def measure_coupling(
     """Solve one local period, by the phases of the mask's library, for each polarisation at each place.
 
     ``places_um`` are (x, y) of the middle of each row; ``mask_sha256`` is the hash of the written file, kept in the
-    result. ``pool`` of Meep: by default one that lives as long as this process.
+    result. ``pool`` holds the workers of Meep; by default it lives as long as this process.
 
     Raises:
         InputError: a place is off the lens, or its local period is too long.

@@ -67,7 +67,7 @@ def inputs_of_training(unit_cell: UnitCell) -> str:
 def inputs_of_rows(library: Library) -> str:
     """Fingerprint of the rows of a training: pillars, sizes to draw from, resolution, and the code that solves them.
 
-    It knows neither the number of rows nor the fit: more rows, or another fit, continue from the rows that were solved.
+    It depends neither on the number of rows nor on the fit: more rows, or another fit, continue from the solved rows.
     """
     samplers = _samplers(library)
     drawn = [hashlib.sha256(each.size_nm.tobytes() + each.t.tobytes()).hexdigest() for each in samplers]
