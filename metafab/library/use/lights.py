@@ -80,7 +80,8 @@ class SizesOfLights:
         some are used.
         """
         lights = len(self.tables)
-        targets = target_rad[..., :: -(-target_rad.shape[-1] * len(self.field) // _SEARCHED)].reshape(2 * lights, -1)
+        step = max(1, -(-target_rad.shape[-1] * len(self.field) // _SEARCHED))
+        targets = target_rad[..., ::step].reshape(2 * lights, -1)
         fields = (self.field[:, 0::2] + 1j * self.field[:, 1::2]).T
         draws = np.random.default_rng(0).uniform(-np.pi, np.pi, (_STARTS, 2 * lights))
         draws[0] = 0.0

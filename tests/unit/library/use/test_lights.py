@@ -99,3 +99,4 @@ def test_constant_phases_beat_any_draw(sizes: SizesOfLights) -> None:
     draws = np.random.default_rng(3).uniform(-math.pi, math.pi, (60, LIGHTS, 2))
     assert total >= max(sizes.best(targets + draw[..., None])[1].sum() for draw in draws)
     assert total > 1.02 * sizes.best(targets)[1].sum()
+    assert np.all(sizes.constant_phases(targets[..., :0]) == 0.0), "no sampled site"
