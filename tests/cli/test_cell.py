@@ -70,7 +70,6 @@ def test_slopes_and_crystals_come_from_the_file(tmp_path: Path) -> None:
         ('sizes_at = "waist"', "{ n = 1.46 }", (), "sizes_at"),
         ("sidewall_angle_deg = 70.0", "{ n = 1.46 }", (), "from the pillar's bottom to its top"),
         ("", "{ n = 1.76, n_y = 1.75 }", ("--angle-deg", "5"), "n_z"),
-        ("sidewall_angle_deg = 89.0", "{ n = 1.46 }", ("--solver", "meep"), "solve with rcwa"),
     ],
 )
 def test_what_cannot_be_solved_is_refused(

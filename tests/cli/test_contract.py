@@ -284,7 +284,7 @@ def test_an_interrupted_run_leaves_no_half_written_file(tmp_path: Path, number: 
     process.send_signal(number)
     _, stderr = process.communicate(timeout=60)
     # 0 where the run was faster than the signal, the signal where it met what Python does after the last line.
-    assert process.returncode in (0, 128 + number, -number)
+    assert process.returncode in (0, 128 + number, -number), stderr
     assert "Traceback" not in stderr or process.returncode == -number
     assert [p.name for p in tmp_path.rglob("*.part")] == []
     for path in tmp_path.glob("*.h5"):

@@ -54,7 +54,8 @@ def test_a_lens_without_a_scene_runs_to_its_report(tmp_path: Path, plain_lens: D
     summary = run.run(plain_lens, tmp_path)
     skipped = {entry.step: entry.why for entry in summary.skipped}
     assert "[tolerance]" in skipped.pop("tolerance")
-    assert skipped == dict.fromkeys(("capture", "decode"), "the design has no scene to photograph")
+    no_scene = dict.fromkeys(("capture", "decode"), "the design has no scene to photograph")
+    assert skipped == {"lights": "the design serves one wavelength", **no_scene}
     assert summary.psf is not None and summary.capture is None and summary.decode is None
     # Stigmatic for parallel light, used at a finite depth: most of what the pillars let through is in the window.
     transmitted = library.quality(open_library(Job(plain_lens, tmp_path))).mean_transmittance

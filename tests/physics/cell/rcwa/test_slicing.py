@@ -213,8 +213,6 @@ def test_impossible_slopes_are_refused() -> None:
     assert [fault.field for fault in caught.value.faults] == ["width_nm"]
     with pytest.raises(InputError, match="sidewall_angle_deg"):
         solve(replace(SILICON, sidewall_angle_deg=45.0))
-    with pytest.raises(InputError, match="sidewall_angle_deg"):
-        solve(replace(SILICON, sidewall_angle_deg=88.0), CellNumerics(solver="meep"))
     for steps in (0, 1, 3):
         with pytest.raises(InputError, match="steps"):
             solve(replace(SILICON, sidewall_angle_deg=88.0), CellNumerics(steps=steps))

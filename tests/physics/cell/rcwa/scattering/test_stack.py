@@ -148,8 +148,6 @@ def test_layers_are_refused_where_they_would_be_dropped() -> None:
     coated = replace(SILICON, over=(CAP,))
     with pytest.raises(InputError, match="under, over"):
         derivatives(coated, 4)
-    with pytest.raises(InputError, match="under, over"):
-        solve(coated, CellNumerics(solver="meep"))
     with pytest.raises(InputError, match="height_nm") as caught:
         solve(replace(SILICON, under=(Slice(-1.0, 1.5 - 0.1j, 1.0),)))
     assert [fault.field for fault in caught.value.faults] == ["under[0].height_nm", "under[0].n"]
