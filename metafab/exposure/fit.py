@@ -222,12 +222,13 @@ class _Model:
         self._exposed = np.unique(exposed, axis=0, return_inverse=True)[1].ravel()
         is_loaded = bool(chosen[4] or start[4])
         self._density = np.concatenate([_excess_density(lens, etch) for lens in lenses]) if is_loaded else None
-        fixed = np.unique(self._blurs_nm(start))
-        if chosen[[2, 5, 6]].any() or fixed.size > _BLUR_NODES:
+        self._nodes = np.unique(self._blurs_nm(start))
+        self._widest_nm = float(self._nodes.max())
+        if chosen[[2, 5, 6]].any() or self._nodes.size > _BLUR_NODES:
             turn = np.cos(np.pi * (np.arange(_BLUR_NODES) + 0.5) / _BLUR_NODES)
-            widest = _WIDEST_NM if self._focus_um.any() or chosen[[5, 6]].any() else float(_HIGH[2])
-            fixed = 0.5 * (widest + _LOW[2]) + 0.5 * (widest - _LOW[2]) * turn
-        self._nodes = fixed
+            is_out_of_focus = chosen[[5, 6]].any() or np.any(self._focus_um != start[6])
+            self._widest_nm = _WIDEST_NM if is_out_of_focus else float(_HIGH[2])
+            self._nodes = 0.5 * (self._widest_nm + _LOW[2]) + 0.5 * (self._widest_nm - _LOW[2]) * turn
         place = np.concatenate([lens.place for lens in lenses])
         patterns, of_lens = _distinct([lens.pillars for lens in lenses])
         pattern = np.repeat(of_lens, [len(lens.dose) for lens in lenses])
@@ -280,8 +281,8 @@ class _Model:
     def require_within_reach(self, values: FloatArray) -> None:
         """Refuse a process whose blur out of focus is beyond the interpolation."""
         widest = float(self._blurs_nm(values).max())
-        if widest > max(self._nodes.max(), _WIDEST_NM):
-            expected = f"a blur of at most {_WIDEST_NM:g} nm at each focus"
+        if widest > self._widest_nm:
+            expected = f"a blur of at most {self._widest_nm:g} nm at each focus"
             raise InputError.single("process fit", "convergence", expected, f"{widest:.3g} nm", "leave out that focus")
 
     def _blurs_nm(self, values: FloatArray) -> FloatArray:
@@ -290,7 +291,7 @@ class _Model:
 
     def _energy(self, moved_nm: FloatArray, values: FloatArray) -> FloatArray:
         """Energy at edges moved outwards, per unit dose: shape (n, 2), like ``moved_nm``."""
-        eta, blur_nm = float(values[1]), np.minimum(self._blurs_nm(values), _WIDEST_NM)
+        eta, blur_nm = float(values[1]), np.minimum(self._blurs_nm(values), self._widest_nm)
         others = (self._interpolated(blur_nm) + eta * self._others_back) / (1.0 + eta)
         ranges = [np.hypot(beta, blur_nm)[:, None] for beta in self._forward.range_nm]
         ranges += [np.full((1, 1), beta) for beta in self._back.range_nm]

@@ -127,6 +127,16 @@ def test_a_focus_dose_matrix_gives_the_angle_of_the_beam_and_its_focus(small_len
         fit_process([measured(small_lens, DOSES, 0.0)], beam(ETA, 10.0), ("threshold", "bias", "convergence"))
 
 
+def test_a_stated_blur_beyond_that_of_a_fit_counts_in_full(small_lens: PillarMap) -> None:
+    """12.8 um out of focus: 110 nm of blur, where 100 nm are the most that a fitted one may have."""
+    lens = measured(small_lens, (2.0, 2.6), 0.0, focus_um=12.5, count=40)
+    start = beam(ETA, BLUR_NM, convergence_mrad=CONVERGENCE_MRAD, best_focus_um=BEST_FOCUS_UM)
+    fit = fit_process([lens], start, ("threshold", "bias"))
+    assert fit.residual_rms_nm < 0.1
+    assert fit.base_over_clearing_dose.value == pytest.approx(RATIO, rel=2e-3)
+    assert fit.bias_nm.value == pytest.approx(BIAS_NM, abs=0.2)
+
+
 def test_microloading_is_told_from_backscatter_by_the_dose(small_lens: PillarMap) -> None:
     """The density by a filter of the drawn areas over sites; sizes of an etch that leaves wider pillars among many."""
     lens = measured(small_lens, DOSES, 0.2)
