@@ -37,8 +37,8 @@ def layout_command(
             if cluster is not None:
                 expected, remedy = "`--workers` with the cluster's cores", "a plan is made on one machine"
                 raise InputError.single("--cluster", "plan", expected, repr(cluster), remedy)
-            lights = light_targets(job)
-            show(mask.plan(job.profile, _library_for_plan(job), job.design, workers, lights=lights), json_)
+            library = _library_for_plan(job)
+            show(mask.plan(job.profile, library, job.design, workers, lights=light_targets(job)), json_)
             return
         announce(mask.announcement(job.design))
         figures = write_layout(job)
@@ -46,10 +46,13 @@ def layout_command(
 
 
 def _library_for_plan(job: Job) -> Library:
-    """Library of the design; an outdated one serves as well, as sizes and bytes are nearly equal."""
+    """Library of the design; for one light an outdated one serves too, as sizes and bytes are nearly equal."""
     from metafab import library
     from metafab.steps.library import library_is_current, library_path, open_library
 
+    if job.design.light:
+        announce(["libraries of its wavelengths that are not current are built first, which is no part of the plan"])
+        return open_library(job)
     if not library_is_current(job):
         path = library_path(job)
         with suppress(InputError):
