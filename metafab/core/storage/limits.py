@@ -1,7 +1,8 @@
 """Limits on what reading one file may take, spent before anything is expanded.
 
 A few bytes can state billions of shapes or terabytes of zeros. Each reader has its own default, mostly by the size of
-the file; a design's ``[limits]`` and the option ``--limit`` replace it for all readers.
+the file. A design's ``[limits]`` replace it for its masks, and in a run for all that the steps read; the option
+``--limit`` replaces it for all readers.
 """
 
 from __future__ import annotations
@@ -39,7 +40,9 @@ def limited(**stated: float | None) -> Iterator[None]:
             del _STATED[name]
 
 
-def beyond(source: str, field: str, name: LimitName, most: str, got: str, remedy: str = "") -> InputError:
+def beyond(
+    source: str, field: str, name: LimitName, most: str, got: str, remedy: str = "", *, by_design: bool = True
+) -> InputError:
     """The error of a file that goes beyond a limit.
 
     Args:
@@ -49,6 +52,8 @@ def beyond(source: str, field: str, name: LimitName, most: str, got: str, remedy
         most: what the file may have, such as "at most 64 MB of arrays".
         got: what it has.
         remedy: what to do instead; by default, to raise the limit for a file that is to be trusted.
+        by_design: whether a design can raise it; it cannot for a file that is read before the design, or without one.
     """
-    raising = f"raise `limits.{name}` of the design, or `--limit {name}=N`, if you trust the file"
+    key = f"`limits.{name}` of the design, or " if by_design else ""
+    raising = f"raise {key}`--limit {name}=N`, if you trust the file"
     return InputError.single(source, field, most, got, f"{remedy}; or {raising}" if remedy else raising)

@@ -66,3 +66,10 @@ def test_memory_is_refused_before_it_is_taken(name: str, write: object, read: ob
     read(path)
     with limited(memory_mb=1.0), pytest.raises(InputError, match=r"--limit memory_mb=N"):
         read(path)
+
+
+def test_a_design_cannot_raise_the_limit_of_its_own_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.toml"
+    path.write_text("a = 1\n# " + "x" * 4_100_000)
+    with pytest.raises(InputError, match=r"raise `--limit memory_mb=N`"):
+        read_toml(path)
