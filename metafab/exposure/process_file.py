@@ -64,7 +64,9 @@ def fitted_process(
     etch, unit_cell = _made(design, corner, table)
     numbers = measured.further.get("copy", np.full(len(measured.size_nm), float(copy)))
     doses = measured.further.get("dose", np.ones(len(measured.size_nm)))
-    focuses = measured.further.get("focus_um", np.zeros(len(measured.size_nm)))
+    # A lens without a stated focus is in the best one, as in :func:`metafab.steps.exposure.expose_mask`.
+    stated_um = 0.0 if design.mask.copies else start.best_focus_um
+    focuses = measured.further.get("focus_um", np.full(len(measured.size_nm), stated_um))
     if (doses <= 0.0).any() or (numbers != np.rint(numbers)).any():
         expected = "positive doses, and whole numbers of copies"
         raise InputError.single(str(table), "rows", expected, f"dose {doses.min():g}, copy {numbers.min():g}")

@@ -161,8 +161,11 @@ def test_samples_agree_with_a_direct_sum_from_outside(folder: Path, tmp_path: Pa
 
 
 def test_measured_sizes_become_a_process_file_that_a_design_uses(folder: Path, tmp_path: Path) -> None:
-    """Sizes of the command itself, all 3 nm narrower; height and sidewalls as a microscope would add them."""
-    known = PROCESS + "base_over_clearing_dose = 2.0\n"
+    """Sizes of the command itself, all 3 nm narrower; height and sidewalls as a microscope would add them.
+
+    A lens that states no focus is in the best one, in the prediction and in the fit.
+    """
+    known = PROCESS + "base_over_clearing_dose = 2.0\nbest_focus_um = 0.4\n"
     design = design_file(tmp_path / "design.toml", SMALL, known, aperture_um="40.0", formats='["oas"]')
     mask_file, table, process = folder / "layout.oas", tmp_path / "samples.csv", tmp_path / "process.toml"
     exposed = metafab("expose", mask_file, "--design", design, "--sample", "40", "--sample-csv", table, "--json")
