@@ -122,7 +122,7 @@ def rows(
                 "5 cm aperture at 200 m (Supp. 6)",
                 "estimated well below 1 %",
                 f"{far['object_error']:.2%} by object, {far['nmae']:.2%} over all pixels",
-                "agrees",
+                "agrees by object",
             )
         )
     if comparison is not None:
