@@ -99,7 +99,7 @@ def _lights(figures: LightsFigures) -> str:
     """Efficiency and focus at each wavelength that the mask serves."""
     rows = [
         [
-            html.number(light.wavelength_nm),
+            f"{light.wavelength_nm:g}",
             _share(0.5 * sum(pair[0] for pair in (light.pair.efficiency_x, light.pair.efficiency_y))),
             _share(0.5 * (light.ideal_efficiency_x[0] + light.ideal_efficiency_y[0])),
             *(

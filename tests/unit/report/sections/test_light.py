@@ -12,9 +12,13 @@ import pytest
 
 from metafab.core.figures import ToleranceRow, ToleranceTable
 from metafab.core.storage.tables import typed
+from metafab.library import Library
 from metafab.report.run_folder import RunFolder
-from metafab.report.sections.light import tolerances
+from metafab.report.sections.light import point_spread, tolerances
+from metafab.steps.merit import LightFigures, LightsFigures
+from metafab.steps.optics import PairFigures
 from metafab.steps.summary import RunSummary
+from tests.closed_form_run import closed_form_run, turning_psf
 
 ROW = ToleranceRow(
     corner="cd_bias_nm -10",
@@ -73,3 +77,14 @@ def test_a_change_below_the_error_is_told_so() -> None:
 
 def test_nobody_asked_for_corners() -> None:
     assert tolerances(RunFolder(Path())) == ""
+
+
+def test_each_wavelength_of_a_mask_stands_in_full(tmp_path: Path, smooth_library: Library) -> None:
+    """Neighbouring laser lines differ in the fourth digit."""
+    run, pair = closed_form_run(tmp_path, smooth_library), PairFigures.of(turning_psf())
+    wavelengths = (1549.6, 1550.4, 632.8)
+    lights = LightsFigures(tuple(LightFigures(each, "psf.h5", pair, (0.9,), (0.8,)) for each in wavelengths))
+    page = point_spread(replace(run, summary=replace(run.summary, lights=lights)), {})
+    share = f"{0.5 * (pair.efficiency_x[0] + pair.efficiency_y[0]):.3f}"
+    for cell in ("1549.6", "1550.4", "632.8", share, "0.850"):
+        assert f">{cell}</td>" in page
