@@ -125,6 +125,10 @@ class LightsFigures:
 
     lights: tuple[LightFigures, ...]  #: In the order of the design.
 
+    def warnings(self) -> list[str]:
+        """Return a sentence for each wavelength whose light misses the window."""
+        return [f"at {each.wavelength_nm:g} nm {text}" for each in self.lights for text in each.pair.warnings()]
+
 
 @dataclass(frozen=True)
 class CouplingFigures:

@@ -104,6 +104,8 @@ def run_command(
         announce(summary.layout.warnings())
     if summary.psf is not None:
         announce(summary.psf.warnings())
+    if summary.lights is not None:
+        announce(summary.lights.warnings())
     show(summary.table() if json_ else headlines(summary, folder), json_)
     exit_on_violations(summary.violations)
 
