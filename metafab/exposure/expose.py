@@ -145,9 +145,7 @@ def expose(
     Raises:
         InputError: a hexagonal lattice, no pillar, or a pattern that cannot be printed.
     """
-    resist = ResistEnergy(pillars, psf)
-    if not resist.tiles:
-        raise InputError.single("exposure", "pillars", "at least one pillar", "none")
+    resist = _resist_of(pillars, psf)
     tables = EdgeTables.of(psf, resist.size_nm)
     dose = np.ones(resist.size_index.shape, dtype=np.float32)
     drawn, rounds, dose_class, class_dose = pillars, 0, None, np.ones(1)
@@ -204,6 +202,21 @@ def expose(
         window=window,
         printed_less_drawn_nm=found.printed_less_drawn_nm,
     )
+
+
+def base_dose_to_size(pillars: PillarMap, psf: BeamPsf, work: Work = Work()) -> float:
+    """Return the base over clearing dose at which printed sizes equal drawn ones in the mean; errors as ``expose``."""
+    resist = _resist_of(pillars, psf)
+    dose = np.ones(resist.size_index.shape, dtype=np.float32)
+    with work.threads() as executor:
+        return dose_to_size(resist, EdgeTables.of(psf, resist.size_nm), dose, executor)
+
+
+def _resist_of(pillars: PillarMap, psf: BeamPsf) -> ResistEnergy:
+    resist = ResistEnergy(pillars, psf)
+    if not resist.tiles:
+        raise InputError.single("exposure", "pillars", "at least one pillar", "none")
+    return resist
 
 
 def _corrected(process: Printing, dose: Float32Array, progress: Progress) -> tuple[Float32Array, int]:

@@ -92,16 +92,20 @@ def expose_mask(
     holds shapes that are no pillars of the lattice.
     """
     from metafab import exposure, mask
+    from metafab.exposure.expose import base_dose_to_size
 
     expected, remedy = "copies without a bias of their own", "correct each variant as a design of its own"
     biased = correct and any(copy.bias_nm for copy in design.mask.copies)
     further = [Fault("mask.copies", expected, "biased copies", remedy)] if biased else []
     process = exposure.exposure_process(design, further)
     lens = design.mask.copies[copy - 1] if 1 <= copy <= len(design.mask.copies) else None
-    psf = exposure.beam_psf(process, None if lens is None else lens.focus_um)
+    in_focus = exposure.beam_psf(process)
+    psf = in_focus if lens is None else exposure.beam_psf(process, lens.focus_um)
     back = mask.read(path, design, progress=work.progress, copy=copy)
     back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
     ratio, plain = process.base_over_clearing_dose, None
+    if ratio is None and psf.blur_nm != in_focus.blur_nm:  # All copies share the base dose, that of the best focus.
+        ratio = base_dose_to_size(back.pillars, in_focus, work)
     lens_dose = 1.0 if lens is None else lens.dose
     if correct and keep_plain:
         before = exposure.expose(back.pillars, psf, base_over_clearing_dose=ratio, lens_dose=lens_dose, work=work)

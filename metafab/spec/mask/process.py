@@ -49,7 +49,7 @@ class ExposureProcess(Checked):
     #: the function.
     backscatter_ratio: Positive | None = None
     #: Base dose over the clearing dose of a large pad; without the key that at which printed sizes equal drawn ones in
-    #: the mean.
+    #: the mean, in the best focus.
     base_over_clearing_dose: Positive | None = None
     #: Whether a correction gives each pillar one of some doses, or changes the drawn sizes, for tools with one dose.
     correction: Literal["dose", "shape"] = "dose"

@@ -1,0 +1,41 @@
+"""Copies out of focus share the base dose of those in focus."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from metafab.core.parallel.work import Work
+from metafab.library import Library, save
+from metafab.spec import load_design
+from metafab.steps import Job, write_layout
+from metafab.steps.exposure import expose_mask
+from tests.main_job import SMALL
+
+FURTHER = """
+[[mask.copies]]
+at_um = [0.0, 0.0]
+[[mask.copies]]
+at_um = [40.0, 0.0]
+focus_um = 6.0
+[process.exposure]
+preset = "hsq_sos_100kv"
+convergence_mrad = 12.0
+"""
+
+
+def test_a_copy_out_of_focus_is_exposed_at_the_base_dose_of_the_others(smooth_library: Library, tmp_path: Path) -> None:
+    """51 nm of blur in place of 5; without a common base dose both copies would print at size in the mean."""
+    save(smooth_library, tmp_path / "library.h5")
+    text = SMALL.read_text(encoding="utf-8").replace("../unitcell_lib/sos_800nm.toml", "library.h5")
+    text = text.replace("aperture_um = 200.0", "aperture_um = 20.0").replace('optimise = "peak"', 'optimise = "none"')
+    (tmp_path / "design.toml").write_text(text + FURTHER, encoding="utf-8")
+    design = load_design(tmp_path / "design.toml")
+    write_layout(Job(design, tmp_path))
+    sharp, blurred = (
+        expose_mask(tmp_path / "layout.oas", design, False, 0, copy, Work()).exposure.figures for copy in (1, 2)
+    )
+    assert blurred.base_over_clearing_dose == pytest.approx(sharp.base_over_clearing_dose, rel=1e-12)
+    assert abs(sharp.cd_bias_nm) < 0.1
+    assert abs(blurred.cd_bias_nm) > 1.0
