@@ -56,6 +56,8 @@ def moved_outlines(regions: Regions, sharp: SharpImages, step: int, where: NDArr
     across, away = across_outlines(label)
     apart = np.abs(middle[label] - middle[across]) > _SEPARATE * (spread[label] + spread[across])
     asked = (across > 0) & (label > 0) & (away * step <= _REACH_PX) & apart & np.isfinite(ratio)
+    # Light that fits no segment has probability 0 in its own: that speaks for none across the outline either.
+    asked &= regions.right > 0.0
     if where is not None:
         asked &= where
     if not asked.any():
