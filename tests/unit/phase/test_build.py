@@ -97,7 +97,7 @@ def test_faulty_terms_are_refused(tmp_path: Path, phase: str, message: str) -> N
     [
         ('[[phase]]\nterm = "lens"\nobject_depth_m = 0.0005', "beyond the focal length"),
         ('[[phase]]\nterm = "spiral_zones"\n[[phase]]\nterm = "spiral_zones"', "at most one"),
-        ('[[phase]]\nterm = "array"\nfile = "none.npy"\npitch_um = 1.0', "unreadable"),
+        ('[[phase]]\nterm = "array"\nfile = "none.npy"\npitch_um = 1.0', "no file at that path"),
     ],
 )
 def test_terms_that_cannot_be_built_are_refused(tmp_path: Path, phase: str, message: str) -> None:

@@ -51,5 +51,3 @@ def test_displacements_of_both_forms(steps: list[tuple[int, int]], diagonal: boo
     end = read_displacements(np.frombuffer(data, dtype=np.uint8), 0, 2, offsets)
     assert end == len(data)
     assert np.array_equal(offsets[1:], np.cumsum(np.array(moves, dtype=np.int64).reshape(-1, 2), axis=0))
-    one_by_one = Stream(np.frombuffer(data, dtype=np.uint8))
-    assert [one_by_one.step() for _ in steps] == moves
