@@ -7,7 +7,8 @@ low-rank kernel and normalisation of the fast propagation at once.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -15,9 +16,22 @@ import shapely
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import kept_threads, spread
+from metafab.layout import Lattice
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.geometry.plate import Plate
-from metafab.optics.sources.source import Source
+from metafab.optics.sources.source import FieldTile, Source
+
+
+@dataclass(frozen=True)
+class Sites:
+    """Amplitudes of a square of sites, for the propagator."""
+
+    lattice: Lattice
+    amplitude: ComplexArray
+
+    def tiles(self) -> Iterator[FieldTile]:
+        """Yield one tile with all sites."""
+        yield FieldTile(0, 0, amplitudes=np.stack([self.amplitude, self.amplitude]))
 
 
 def direct_irradiance(

@@ -21,13 +21,13 @@ import math
 import resource
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
+from benchmarks.direct_sum import Sites
 from metafab.cell import CellNumerics, PillarCell, rcwa
 from metafab.cell.meep import Pool, SupercellSettings, solve_supercell
 from metafab.cell.supercell import Supercell, SupercellResponse
@@ -36,7 +36,6 @@ from metafab.fullwave.patch import at_sites
 from metafab.layout import Lattice
 from metafab.optics import Imaging, PsfNumerics, psf
 from metafab.optics.geometry.polarisation import FocusIntegrals
-from metafab.optics.sources.source import FieldTile
 
 CELL = PillarCell(
     period_nm=(680.0, 680.0),
@@ -68,18 +67,6 @@ class Lens:
     def aperture_um(self) -> float:
         """Diameter."""
         return len(self.side_nm) * CELL.period_nm[0] * 1e-3
-
-
-@dataclass(frozen=True)
-class Sites:
-    """Amplitudes of a square of sites, for the propagator."""
-
-    lattice: Lattice
-    amplitude: ComplexArray
-
-    def tiles(self) -> Iterator[FieldTile]:
-        """Yield one tile with all sites."""
-        yield FieldTile(0, 0, amplitudes=np.stack([self.amplitude, self.amplitude]))
 
 
 def lens_of(count: int) -> Lens:

@@ -21,23 +21,21 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.direct_sum import direct_irradiance
+from benchmarks.direct_sum import Sites, direct_irradiance
 from metafab.cell import CellNumerics, PillarCell, elements, rcwa
 from metafab.cell.elements import ElementNumerics
 from metafab.cell.meep import MeepSettings, Pool, SupercellSettings, finding, solve, solve_supercell
 from metafab.cell.meep.grid import family, plan
 from metafab.cell.supercell import Supercell
-from metafab.core.conventions import ComplexArray
 from metafab.fullwave.patch import at_sites, field_difference
 from metafab.layout import Lattice
 from metafab.optics import Imaging
-from metafab.optics.sources.source import FieldTile
 
 fourier_limit = runpy.run_path(str(Path(__file__).with_name("fourier_limit.py")))["fourier_limit"]
 PLAIN_SCRIPT = Path(__file__).with_name("meep_plain.py")
@@ -162,18 +160,6 @@ def _supercell(pool: Pool) -> Iterator[dict[str, Any]]:
         }
 
 
-@dataclass(frozen=True)
-class _Sites:
-    """Amplitudes of a square of sites, for the propagator."""
-
-    lattice: Lattice
-    amplitude: ComplexArray
-
-    def tiles(self) -> Iterator[FieldTile]:
-        """Yield one tile with all sites."""
-        yield FieldTile(0, 0, amplitudes=np.stack([self.amplitude, self.amplitude]))
-
-
 def _lens(pool: Pool, count: int = 28, focus_um: float = 10.0, padding: int = 2) -> Iterator[dict[str, Any]]:
     """A lens of square pillars: focal spots of Meep's field and of the library's, by one propagator."""
     place = (np.arange(count) - (count - 1) / 2.0) * 0.35
@@ -198,7 +184,7 @@ def _lens(pool: Pool, count: int = 28, focus_um: float = 10.0, padding: int = 2)
     axis = np.linspace(-3.0, 3.0, 61)
     x, y = (grid.ravel() for grid in np.meshgrid(axis, axis))
     by_meep, by_library, by_grid = (
-        direct_irradiance(_Sites(lattice, field), imaging, 1e3, (0.0, 0.0), x, y, 0).reshape(61, 61)
+        direct_irradiance(Sites(lattice, field), imaging, 1e3, (0.0, 0.0), x, y, 0).reshape(61, 61)
         for field in (full_wave, library, alone)
     )
     for name, theirs, field in (("the library", by_library, library), ("lone pillars on the grid", by_grid, alone)):

@@ -307,19 +307,8 @@ def _light_path(job: Job, light: Light) -> Path:
 def _at_light(job: Job, light: Light) -> LightFigures:
     from metafab.optics import Imaging
 
-    alone, mask_path, verify = job.at_light(light), mask_paths(job)[-1], job.design.verify
-    (written, light_at_um), (ideal, _) = (
-        point_spread(
-            alone,
-            path,
-            depths_m=verify.depths_m,
-            object_mm=(0.0, 0.0),
-            pixel_um=None,
-            window_px=verify.window_px,
-            target_error=verify.target_error,
-        )
-        for path in (mask_path, None)
-    )
+    alone, mask_path = job.at_light(light), mask_paths(job)[-1]
+    (written, light_at_um), (ideal, _) = (point_spread(alone, path) for path in (mask_path, None))
     save_psf(alone, written, mask_path, _light_path(job, light))
     is_focus = alone.design.is_lens
     return LightFigures(

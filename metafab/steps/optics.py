@@ -245,11 +245,11 @@ def point_spread(
     job: Job,
     path: Path | None,
     *,
-    depths_m: tuple[float, ...],
-    object_mm: tuple[float, float],
-    pixel_um: float | None,
-    window_px: int,
-    target_error: float,
+    depths_m: tuple[float, ...] | None = None,
+    object_mm: tuple[float, float] = (0.0, 0.0),
+    pixel_um: float | None = None,
+    window_px: int | None = None,
+    target_error: float | None = None,
     copy: int = 1,
     centre_um: tuple[float, float] | None = None,
     printed: Printed | None = None,
@@ -259,6 +259,7 @@ def point_spread(
 
     Args:
         path: the mask file; None for the target phases.
+        depths_m: object depths in increasing order; None for those of ``[verify]``, as for the window and the error.
         object_mm: object position (x, y), mm from the axis.
         pixel_um: sampling step; None for the pixel of the sensor.
         window_px: side of the window, pixels.
@@ -275,7 +276,10 @@ def point_spread(
     from metafab.optics.interpolation import concatenate
     from metafab.optics.measures.landing import light_elsewhere
 
-    imaging = optics.Imaging.of(job.design)
+    imaging, verify = optics.Imaging.of(job.design), job.design.verify
+    depths_m = verify.depths_m if depths_m is None else depths_m
+    window_px = verify.window_px if window_px is None else window_px
+    target_error = verify.target_error if target_error is None else target_error
     if pixel_um is not None:
         imaging = replace(imaging, pixel_um=pixel_um)
     if centre_um is not None:
@@ -287,7 +291,7 @@ def point_spread(
         raise InputError.single("psf", "--object-mm", expected, f"{x_mm:g} {y_mm:g} mm at infinity", remedy)
     source = _source_of(job, path, copy, printed, sizes)
     # On the axis, all depths lie in one direction and share one pass over the pillars.
-    numerics = optics.PsfNumerics(window_px, target_error, filter_fwhm_nm(job.design), job.design.verify.vectorial)
+    numerics = optics.PsfNumerics(window_px, target_error, filter_fwhm_nm(job.design), verify.vectorial)
     passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
     tangents = [(1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
     stacks = [

@@ -115,7 +115,7 @@ def psf_command(
         job = open_job(design, None, work)
         if wavelength_nm is not None:
             job = _at_wavelength(job, wavelength_nm)
-        verify, light_at_um = job.design.verify, None
+        light_at_um = None
         if calibration:
             pair = optics.calibration(job, layout, copy=copy, printed=printed)
         elif scene is not None:
@@ -124,11 +124,11 @@ def psf_command(
             pair, light_at_um = optics.point_spread(
                 job,
                 layout,
-                depths_m=tuple(sorted(set(depths_m))) if depths_m else verify.depths_m,
+                depths_m=tuple(sorted(set(depths_m))) if depths_m else None,
                 object_mm=object_mm or (0.0, 0.0),
                 pixel_um=pixel_um,
-                window_px=verify.window_px if window_px is None else window_px,
-                target_error=verify.target_error if target_error is None else target_error,
+                window_px=window_px,
+                target_error=target_error,
                 copy=copy,
                 centre_um=centre_um,
                 printed=printed,

@@ -62,8 +62,8 @@ _OUTLIER = 16.0
 _OUTLINE_REACH_PX = 40
 #: Distance from an outline beyond which light that does not fit is not that of the other side, frame pixels.
 _OUTLINE_LIGHT_PX = 20
-#: Least share of the texture's energy that light which fits nothing has where it takes the pixel's depth: small lenses
-#: leave such light within their segments, 0.12 in the median.
+#: A pixel loses its depth where light that fits nothing has at least this share of the texture's energy. Small lenses
+#: leave a median of 0.12 within their own segments.
 _LOST_SHARE = 0.17
 #: Pixels that the depth of a wide segment is measured on at least: twice a window. Bars and fragments have fewer.
 _WIDE_PX = 2 * WINDOW_PX**2

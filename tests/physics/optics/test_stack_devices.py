@@ -22,16 +22,7 @@ def _device(kind: str, folder: Path, **device: float) -> Design:
 
 
 def _ideal(design: Design, folder: Path) -> Psf:
-    verify = design.verify
-    return point_spread(
-        Job(design, folder),
-        None,
-        depths_m=verify.depths_m,
-        object_mm=(0.0, 0.0),
-        pixel_um=None,
-        window_px=verify.window_px,
-        target_error=verify.target_error,
-    )[0]
+    return point_spread(Job(design, folder), None)[0]
 
 
 def _centroid_um(psf: Psf, polarisation: int) -> tuple[float, float]:

@@ -34,9 +34,8 @@ def _x_um() -> FloatArray:
 
 
 def _figures(design: Design, folder: Path, **options: object) -> PairFigures:
-    verify = design.verify
-    asked = {"object_mm": (0.0, 0.0), "pixel_um": None, "window_px": verify.window_px, "target_error": 1e-3, **options}
-    pair = point_spread(Job(design, folder), None, depths_m=verify.depths_m, **asked)  # type: ignore[arg-type]
+    asked = {"target_error": 1e-3, **options}
+    pair = point_spread(Job(design, folder), None, **asked)  # type: ignore[arg-type]
     return PairFigures.of(*pair)
 
 
