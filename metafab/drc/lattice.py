@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from hashlib import sha256
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from metafab.mask import ReadBack
 from metafab.mask.drawing.scan import count_sizes
 from metafab.spec import Design
 
+if TYPE_CHECKING:
+    from hashlib import _Hash
+
 _BAND_ROWS = 256
 
 
@@ -31,38 +34,34 @@ def check_lattice(read_back: ReadBack, design: Design, work: Work = Work()) -> D
     ``work``.
     """
     require_one_top(read_back.path, read_back.top_cells)
-    size_index = read_back.pillars.to_array()
-    findings, smallest_dbu = _check_leftovers(read_back, design), np.inf
+    pillars, digest = read_back.pillars, sha256()
+    findings, smallest_dbu, count = _check_leftovers(read_back, design), np.inf, 0
     # The other copies are only counted: every site inside the aperture has a pillar.
     sites = Aperture.of(design).count if read_back.other_copies else 0
-    findings.counts["missing"] += sum(max(0, sites - count) for count in read_back.other_copies.values())
-    n_y = len(size_index)
+    findings.counts["missing"] += sum(max(0, sites - found) for found in read_back.other_copies.values())
+    n_y = pillars.lattice.shape[0]
+    # Sizes of a read-back are sorted, so that equal masks have equal indices, and one hash of sizes and places.
+    digest.update(np.ascontiguousarray(pillars.size_dbu).data)
     with work.threads() as executor:
         rules = _BandRules(read_back, design)
-        for done, (in_band, gap_dbu) in enumerate(in_order(executor, rules, _bands(size_index)), start=1):
-            findings.merge(in_band)
-            smallest_dbu = min(smallest_dbu, gap_dbu)
+        for done, of_band in enumerate(in_order(executor, rules, _bands(pillars, digest)), start=1):
+            findings.merge(of_band.findings)
+            smallest_dbu = min(smallest_dbu, of_band.gap_dbu)
+            count += of_band.pillars
             work.progress("rules", min(done * _BAND_ROWS, n_y), n_y)
     stray = read_back.off_site.count + read_back.off_grid.count + read_back.duplicates.count
     measured = np.isfinite(smallest_dbu) and not stray
     return DrcReport(
         file=read_back.path.name,
         engine="lattice",
-        pillars=int(np.count_nonzero(size_index)) + stray,
+        pillars=count + stray,
         violations=findings.counts,
         markers=findings.markers(),
         min_gap_nm=float(smallest_dbu * design.mask.database_unit_nm) if measured else None,
         other_layers=read_back.other_layers,
         other_copies=read_back.other_copies,
-        pillars_sha256=_pillars_sha256(read_back.pillars),
+        pillars_sha256=digest.hexdigest(),
     )
-
-
-def _pillars_sha256(pillars: PillarMap) -> str:
-    """Hash of sizes and places. Sizes of a read-back are sorted, so that equal masks have equal indices."""
-    digest = sha256(np.ascontiguousarray(pillars.size_dbu).data)
-    digest.update(np.ascontiguousarray(pillars.to_array()).data)
-    return digest.hexdigest()
 
 
 def _check_leftovers(read_back: ReadBack, design: Design) -> Findings:
@@ -90,10 +89,20 @@ class _Band(NamedTuple):
     and_next: SizeIndexArray
 
 
-def _bands(size_index: SizeIndexArray) -> Iterator[_Band]:
-    for row in range(0, len(size_index), _BAND_ROWS):
-        and_next = size_index[row : row + _BAND_ROWS + 1]
-        yield _Band(row, and_next[:_BAND_ROWS], and_next)
+class _Checked(NamedTuple):
+    """Result of a band."""
+
+    findings: Findings  #: Violations.
+    gap_dbu: float  #: Smallest gap, the pairs with the next row included.
+    pillars: int  #: Number of pillars.
+
+
+def _bands(pillars: PillarMap, digest: _Hash) -> Iterator[_Band]:
+    """All bands; their indices are added to the digest."""
+    for row, and_next in pillars.bands(_BAND_ROWS):
+        band = _Band(row, and_next[:_BAND_ROWS], and_next)
+        digest.update(np.ascontiguousarray(band.size_index).data)
+        yield band
 
 
 class _BandRules:
@@ -116,8 +125,8 @@ class _BandRules:
         if limits.upright is not None:
             self._too_small["aspect_ratio"] = self._size_dbu.min(axis=1) < limits.upright
 
-    def __call__(self, band: _Band) -> tuple[Findings, float]:
-        """Violations and smallest gap (dbu) of a band; it includes the pairs with the row above it."""
+    def __call__(self, band: _Band) -> _Checked:
+        """Check a band."""
         findings = Findings(self._rules)
         used = count_sizes(np.ascontiguousarray(band.size_index), len(self._size_dbu))
         for rule, bad in self._too_small.items():
@@ -126,7 +135,7 @@ class _BandRules:
                 row, column = np.nonzero(bad[band.size_index] & (band.size_index > 0))
                 findings.add(rule, self._boxes(band, row[:MARKERS], column[:MARKERS]), count)
         self._check_aperture(band, findings)
-        return findings, self._check_gaps(band, findings)
+        return _Checked(findings, self._check_gaps(band, findings), int(used[1:].sum()))
 
     def _check_aperture(self, band: _Band, findings: Findings) -> None:
         inside = self._aperture.inside(band.row, 0, band.size_index.shape)

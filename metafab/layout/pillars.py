@@ -18,6 +18,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.display import Displayed
 from metafab.core.errors import InputError
 from metafab.core.labelled import dataset
+from metafab.core.storage.scratch import release
 from metafab.layout.outlines import RECTANGLE, Outline
 
 if TYPE_CHECKING:
@@ -132,7 +133,7 @@ class PillarMap(Displayed):
         size_dbu: shape (n_sizes + 1, 2), (width, length) of each size index; row 0 is (0, 0), no pillar.
         tiles: opens the stream; tiles cover the lattice once, row by row of tiles; empty tiles may be left out.
         tile_sites: sites per side of a tile (tiles at the edges are smaller).
-        whole: shape ``lattice.shape``, the indices of all tiles; None if they are not held in memory.
+        whole: shape ``lattice.shape``, the indices of all tiles, in memory or on disk; None if they are not kept.
         angle_deg: shape (n_sizes + 1,), counter-clockwise turn of each size about its site; None for upright pillars.
     """
 
@@ -158,6 +159,8 @@ class PillarMap(Displayed):
 
         def tiles() -> Iterator[PillarTile]:
             for row, column in lattice.tile_corners(tile_sites):
+                if column == 0:
+                    release(size_index)
                 block = size_index[row : row + tile_sites, column : column + tile_sites]
                 if block.any():
                     yield PillarTile(row, column, block)
@@ -172,6 +175,16 @@ class PillarMap(Displayed):
         for tile in self.tiles():
             whole[tile.window] = tile.size_index
         return whole
+
+    def bands(self, rows: int) -> Iterator[tuple[int, SizeIndexArray]]:
+        """First row and indices of every ``rows`` rows of sites, each with the row behind it where there is one.
+
+        What is on disk takes the memory of a few bands.
+        """
+        whole = self.to_array()
+        for row in range(0, len(whole), rows):
+            yield row, whole[row : row + rows + 1]
+            release(whole)
 
     def size_nm(self) -> FloatArray:
         """Width and length of each size in nanometres, shape (n_sizes + 1, 2)."""

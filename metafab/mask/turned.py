@@ -11,6 +11,7 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.scratch import release, scratch
 from metafab.layout import PillarMap, lattice_of
 from metafab.layout.geometry import whole_dbu
 from metafab.layout.outlines import IntArray, Outline, canonical_polygon
@@ -19,6 +20,9 @@ from metafab.mask.drawing.copies import biases_dbu, lens_copies
 from metafab.mask.read import ReadBack, read
 from metafab.mask.shapes.known import KnownShapes
 from metafab.spec import Design
+
+#: Rows of sites that are numbered anew at a time.
+_ROWS = 256
 
 
 def read_turned(path: Path, design: Design, angles: int, progress: Progress = silent, copy: int = 1) -> ReadBack:
@@ -93,6 +97,9 @@ class _TurnedOutlines(Outline):
         rows = np.array([kind_of[number] for number in numbers.tolist()], dtype=np.intp)
         kinds = np.concatenate([np.zeros((1, 3)), self.kinds[rows]])
         order = np.lexsort(kinds.T[::-1])
-        index = np.argsort(order).astype(np.uint16)[encoded.to_array()]
+        rank, index = np.argsort(order).astype(np.uint16), scratch(encoded.lattice.shape, np.uint16)
+        for row, band in encoded.bands(_ROWS):
+            index[row : row + len(band)] = rank[band]
+            release(index)
         size_dbu = kinds[order, :2].astype(np.int32)
         return PillarMap.from_array(encoded.lattice, size_dbu, index, encoded.tile_sites, kinds[order, 2])

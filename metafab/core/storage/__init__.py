@@ -5,6 +5,7 @@
 - ``hdf5``          HDF5 with units, descriptions, provenance and a checksum
 - ``pictures``      reader of grey pictures
 - ``latest``        cache of one entry
+- ``scratch``       arrays in files instead of memory
 - ``provenance``    fingerprints of source code and of named files
 - ``source_graph``  import graph of the package
 """

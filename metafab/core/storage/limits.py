@@ -2,13 +2,16 @@
 
 A few bytes can state billions of shapes or terabytes of zeros. Each reader has its own default, mostly by the size of
 the file. A design's ``[limits]`` replace it for its masks, and in a run for all that the steps read; the option
-``--limit`` replaces it for all readers.
+``--limit`` replaces it for all readers. Stated limits hold in their thread (more exactly, in its ``contextvars``
+context), so that threads that read under unlike limits do not mix them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
+from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 from metafab.core.errors import InputError
@@ -16,28 +19,30 @@ from metafab.core.errors import InputError
 #: Memory of what a file expands to; shapes with all placements; nesting of cells; processor time, estimated by records.
 LimitName: TypeAlias = Literal["memory_mb", "shapes", "depth", "seconds"]
 
-_STATED: dict[str, float] = {}
+_NONE: Mapping[str, float] = MappingProxyType({})
+_stated: ContextVar[Mapping[str, float]] = ContextVar("_stated", default=_NONE)
 
 
 def limit(name: LimitName, default: float) -> float:
-    """The stated limit of this process, or ``default``."""
-    return _STATED.get(name, default)
+    """The limit that is stated where this is called, or ``default``."""
+    return _stated.get().get(name, default)
 
 
 @contextmanager
 def limited(**stated: float | None) -> Iterator[None]:
     """State limits for all files that are read in the block; what is stated around the block already has precedence.
 
+    A thread that is started in the block begins without them, unless it runs in a copy of the context
+    (``contextvars.copy_context().run``).
+
     Args:
         stated: limits by :data:`LimitName`; None for the default of each reader.
     """
-    added = {name: value for name, value in stated.items() if value is not None and name not in _STATED}
-    _STATED.update(added)
+    token = _stated.set({name: value for name, value in stated.items() if value is not None} | dict(_stated.get()))
     try:
         yield
     finally:
-        for name in added:
-            del _STATED[name]
+        _stated.reset(token)
 
 
 def beyond(

@@ -21,6 +21,7 @@ from deflate import DeflateError, deflate_decompress
 
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.scratch import release
 from metafab.mask.budget import Budget
 from metafab.mask.oasis.elements import DamagedError, Stream
 from metafab.mask.oasis.records import POLYGON, RECTANGLE
@@ -37,6 +38,8 @@ _ENDS_OF_A_CELL = {_CELL_BY_NUMBER, CELL, *_TABLES}
 
 _REMEDY = "the file is damaged or not OASIS: write or export it again"
 _LARGEST_BLOCK = 1 << 31
+#: Bytes of the file after which its pages are given back.
+_RELEASED = 1 << 26
 #: Estimated processor time of a record in Python, s, by its kind: shapes and placements take the longest.
 _SECONDS_OF_A_RECORD = {_XYABSOLUTE: 1e-6, XYRELATIVE: 1e-6, 28: 4e-6, 29: 1e-6, _TEXT: 6e-6}
 _SECONDS_OF_A_SHAPE = 1.2e-5
@@ -92,6 +95,7 @@ class OasisReader:
         self.cells: dict[str, Cell] = {}
         self.names: dict[int, str] = {}
         self._path = path
+        self._passed = 0
         try:
             self._check_end()
             for _ in _Pass(self, None):
@@ -111,8 +115,11 @@ class OasisReader:
             raise DamagedError("no END record in the last 256 bytes: the file is truncated")
         # Validation scheme 1: a CRC-32 over all bytes before it ends the file.
         if last[-5] == 1:
-            (stated,) = struct.unpack("<I", last[-4:].tobytes())
-            if zlib.crc32(self.data[:-4].data) != stated:
+            (stated,), found = struct.unpack("<I", last[-4:].tobytes()), 0
+            for start in range(0, self.data.size - 4, _RELEASED):
+                found = zlib.crc32(self.data[start : min(start + _RELEASED, self.data.size - 4)].data, found)
+                release(self.data)
+            if found != stated:
                 raise DamagedError("content that does not fit its checksum")
 
     def _resolve_names(self) -> None:
@@ -132,6 +139,13 @@ class OasisReader:
             yield from _Pass(self, place)
         except DamagedError as error:
             raise self._damaged(str(error)) from error
+
+    def passed(self, byte_count: int) -> None:
+        """Count bytes of the file that have been read, and give its pages back every :data:`_RELEASED` bytes."""
+        self._passed += byte_count
+        if self._passed >= _RELEASED:
+            self._passed = 0
+            release(self.data)
 
     def _damaged(self, got: str) -> InputError:
         return InputError.single(str(self._path), "file", "a whole OASIS file", got, _REMEDY)
@@ -160,6 +174,7 @@ class _Pass:
                 self._stream = Stream(reader.data, block + 1)
                 self._enter_block()
             self._stream.position = position
+        self._passed = (self._outer or self._stream).position
 
     def __iter__(self) -> Iterator[Chunk]:
         while True:
@@ -182,6 +197,9 @@ class _Pass:
 
     def _flush(self, at_least: int) -> Iterator[Chunk]:
         """Yield the collected shapes if there are enough of them."""
+        position = (self._outer or self._stream).position
+        self._reader.passed(position - self._passed)
+        self._passed = position
         if self._indexing or sum(map(len, self._rectangles)) + len(self._others) < at_least:
             return
         rectangles = self._rectangles or [np.empty((0, 4), dtype=np.int64)]

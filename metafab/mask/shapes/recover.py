@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled
+from metafab.core.storage.scratch import release, scratch
 from metafab.layout import Lattice
 from metafab.layout.pillars import SizeIndexArray
 from metafab.mask.shapes.hierarchy import IntArray
@@ -19,6 +20,9 @@ PLACED, OFF_SITE, DUPLICATE, OFF_GRID, TOO_MANY_SIZES = range(5)
 
 #: Rectangles that are kept with their places; beyond, they are only counted.
 KEPT = 200_000
+
+#: Rectangles after which an array on disk gives its memory back: some 10 MB, in a file that is written by tiles.
+_RELEASED = 1 << 22
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +44,8 @@ class Recovery:
         at_dbu: (x, y) of the centre of the lattice in the file.
 
     Attributes:
-        size_index: shape ``lattice.shape``; indices into the sizes that :meth:`finish` returns.
+        size_index: shape ``lattice.shape``; indices into the sizes that :meth:`finish` returns; on disk where it is
+            large.
     """
 
     def __init__(self, lattice: Lattice, unit_ratio: Fraction, source: str, at_dbu: tuple[int, int]) -> None:
@@ -55,13 +60,18 @@ class Recovery:
         self._size_count = np.ones(1, dtype=np.int64)
         self._kept: dict[int, list[IntArray]] = {OFF_SITE: [], DUPLICATE: [], OFF_GRID: []}
         self._counts = dict.fromkeys(self._kept, 0)
-        self.size_index: SizeIndexArray = np.zeros(lattice.shape, dtype=np.uint16)
+        self.size_index: SizeIndexArray = scratch(lattice.shape, np.uint16)
+        self._unreleased = 0
 
     def add(self, rectangles: IntArray, shift: IntArray) -> None:
         """Put rectangles (x, y, width, height), shape (n, 4), file units, moved by ``shift``, (2,), at their sites.
 
         InputError for more sizes than indices.
         """
+        self._unreleased += len(rectangles)
+        if self._unreleased >= _RELEASED:
+            release(self.size_index)
+            self._unreleased = 0
         verdict = np.empty(len(rectangles), dtype=np.uint8)
         failures = _place(
             np.ascontiguousarray(rectangles),
@@ -99,6 +109,7 @@ class Recovery:
         for start in range(0, len(self.size_index), 256):
             rows = self.size_index[start : start + 256]
             rows[...] = rank[rows]
+            release(rows)
         return np.ascontiguousarray(sizes[order])
 
 

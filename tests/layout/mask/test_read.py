@@ -11,7 +11,7 @@ import gdstk
 import numpy as np
 import pytest
 
-from metafab import mask
+from metafab import drc, mask
 from metafab.core.errors import InputError
 from metafab.layout import Assignment, PillarMap
 from metafab.spec import Design
@@ -44,6 +44,28 @@ def test_read_back_is_exact(suffix: str, tiny: Assignment, tiny_design: Design, 
     assert read_back.format == suffix
     assert read_back.top_cells == ("helix_small",)
     assert read_back.database_unit_nm == 0.5
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_large_lens_is_read_into_a_file(
+    suffix: str, tiny_design: Design, tiny_files: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its indices are on disk, and its rules and their hash are those of a lens in memory."""
+    held = mask.read(tiny_files[suffix], tiny_design)
+    reports = [drc.check(tiny_files[suffix], tiny_design)]
+    monkeypatch.setattr("metafab.core.storage.scratch.IN_MEMORY_BYTES", 0)
+    monkeypatch.setattr("metafab.mask.shapes.recover._RELEASED", 1000)
+    monkeypatch.setattr("metafab.mask.oasis.reader._RELEASED", 1000)
+    on_disk = mask.read(tiny_files[suffix], tiny_design)
+    reports.append(drc.check(tiny_files[suffix], tiny_design))
+    whole = on_disk.pillars.to_array()
+    assert np.array_equal(whole, held.pillars.to_array())
+    assert isinstance(whole.base, np.ndarray) and not whole.base.flags.owndata
+    _assert_pure(on_disk)
+    for tile in on_disk.pillars.tiles():
+        assert np.array_equal(tile.size_index, whole[tile.window])
+    one, other = (replace(report, seconds=0.0) for report in reports)
+    assert one == other and one.pillars == np.count_nonzero(whole)
 
 
 @pytest.mark.parametrize("suffix", FORMATS)

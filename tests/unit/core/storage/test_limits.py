@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from contextvars import copy_context
 from pathlib import Path
+from threading import Barrier
 
 import h5py
 import numpy as np
@@ -29,6 +32,24 @@ def test_limits_end_with_an_exception() -> None:
     with pytest.raises(ValueError, match="inside"), limited(shapes=3):
         raise ValueError("inside")
     assert limit("shapes", 1) == 1
+
+
+def test_threads_do_not_mix_their_limits() -> None:
+    """Each states its own while the others hold theirs; one without any has the default."""
+    together = Barrier(3, timeout=10.0)
+
+    def read_under(shapes: float | None) -> list[float]:
+        with limited(shapes=shapes):
+            together.wait()
+            during = limit("shapes", 1.0)
+            together.wait()
+        together.wait()
+        return [during, limit("shapes", 1.0)]
+
+    with ThreadPoolExecutor(3) as threads, limited(shapes=9.0):
+        assert list(threads.map(read_under, [5.0, 7.0, None])) == [[5.0, 1.0], [7.0, 1.0], [1.0, 1.0]]
+        assert threads.submit(copy_context().run, limit, "shapes", 1.0).result() == 9.0
+    assert limit("shapes", 1.0) == 1.0
 
 
 def write_hdf5(path: Path) -> None:

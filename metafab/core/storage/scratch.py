@@ -1,0 +1,42 @@
+"""Arrays in files instead of memory: scratch arrays that may be larger than memory, and release of pages once used."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import tempfile
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+#: Largest scratch array that is held in memory, bytes.
+IN_MEMORY_BYTES = 1 << 28
+
+
+def scratch(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
+    """Return zeros; more than :data:`IN_MEMORY_BYTES` of them are in an unnamed file of the temporary folder.
+
+    The file vanishes with the array. Its space is reserved now: OSError if the disk is too full.
+    """
+    byte_count = int(np.prod(shape, dtype=object)) * np.dtype(dtype).itemsize
+    if byte_count <= IN_MEMORY_BYTES:
+        return np.zeros(shape, dtype)
+    with tempfile.TemporaryFile() as stream:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(stream.fileno(), 0, byte_count)
+        else:
+            stream.truncate(byte_count)
+        return np.frombuffer(mmap.mmap(stream.fileno(), byte_count), dtype).reshape(shape)
+
+
+def release(array: NDArray[Any]) -> None:
+    """Give the memory of a mapped file back, wherever ``array`` is a view of one; the content stays in the file.
+
+    Pages that are used again are mapped again. An array in memory is left alone.
+    """
+    base: Any = array
+    while isinstance(base, np.ndarray | memoryview):
+        base = base.base if isinstance(base, np.ndarray) else base.obj
+    if isinstance(base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+        base.madvise(mmap.MADV_DONTNEED)

@@ -1,0 +1,60 @@
+"""Scratch arrays on disk: their content outlives the release of their memory, and their file is gone with them."""
+
+from __future__ import annotations
+
+import gc
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from metafab.core.storage.scratch import release, scratch
+
+
+def resident_mb() -> float:
+    """Memory of this process that is in use now, mapped files included."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+@pytest.fixture
+def on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metafab.core.storage.scratch.IN_MEMORY_BYTES", 0)
+
+
+@pytest.mark.usefixtures("on_disk")
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
+def test_released_memory_is_free_and_the_content_stays() -> None:
+    array = scratch((16, 1 << 21), np.uint16)
+    before = resident_mb()
+    assert not array.any()
+    array[:] = np.arange(16)[:, None]
+    assert resident_mb() - before > 60.0
+    release(array[3:5, 7:])  # of any view
+    assert resident_mb() - before < 8.0
+    assert np.array_equal(array[:, -1], np.arange(16))
+
+
+@pytest.mark.parametrize("view", [lambda array: array, lambda array: array[1:], lambda array: array.data])
+def test_an_array_in_memory_is_left_alone(view: Callable[[np.ndarray], np.ndarray]) -> None:
+    array = scratch((4, 4), np.uint16)
+    array[:] = 7
+    release(view(array))
+    assert np.all(array == 7)
+
+
+@pytest.mark.usefixtures("on_disk")
+def test_the_file_vanishes_with_the_array(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    array = scratch((1 << 20,), np.uint16)
+    open_files = Path("/proc/self/fd")
+    if open_files.exists():
+        assert any(str(tmp_path) in os.readlink(each) for each in open_files.iterdir() if each.is_symlink())
+    del array
+    gc.collect()
+    assert list(tmp_path.iterdir()) == []
+    if open_files.exists():
+        links = [os.path.realpath(each) for each in open_files.iterdir()]
+        assert not any(str(tmp_path) in link for link in links)
