@@ -177,9 +177,9 @@ class PillarMap(Displayed):
         return whole
 
     def bands(self, rows: int) -> Iterator[tuple[int, SizeIndexArray]]:
-        """First row and indices of every ``rows`` rows of sites, each with the row behind it where there is one.
+        """First row and indices of every ``rows`` rows of sites, shape (rows + 1, n_x): the next row is with them.
 
-        What is on disk takes the memory of a few bands.
+        The last band may be shorter. A map on disk takes the memory of a few bands.
         """
         whole = self.to_array()
         for row in range(0, len(whole), rows):

@@ -15,7 +15,7 @@ IN_MEMORY_BYTES = 1 << 28
 
 
 def scratch(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
-    """Return zeros; more than :data:`IN_MEMORY_BYTES` of them are in an unnamed file of the temporary folder.
+    """Return zeros of a shape; more than :data:`IN_MEMORY_BYTES` are in an unnamed file of the temporary folder.
 
     The file vanishes with the array. Its space is reserved now: OSError if the disk is too full.
     """
@@ -33,7 +33,7 @@ def scratch(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
 def release(array: NDArray[Any]) -> None:
     """Give the memory of a mapped file back, wherever ``array`` is a view of one; the content stays in the file.
 
-    Pages that are used again are mapped again. An array in memory is left alone.
+    Pages that are used again are mapped again. The array has any shape; one in memory is left alone.
     """
     base: Any = array
     while isinstance(base, np.ndarray | memoryview):
