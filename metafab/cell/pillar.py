@@ -12,8 +12,9 @@ from metafab.core.errors import Fault
 
 #: Height at which a sloped pillar has the stated width and length.
 SizesAt = Literal["bottom", "middle", "top"]
-#: Cross-section within width and length; a cross is a rectangle united with itself turned by 90 degrees.
-Shape = Literal["rectangle", "ellipse", "cross"]
+#: Cross-section within width and length; a cross is a rectangle united with itself turned by 90 degrees, a ring a
+#: circle with a round hole.
+Shape = Literal["rectangle", "ellipse", "cross", "ring"]
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,12 @@ class PillarCell:
     #: Whether every other row of pillars is shifted by half a period (a hexagonal lattice); the period along y is then
     #: the distance of rows. rcwa only, with upright pillars, no layers, and light along z.
     is_staggered: bool = False
-    #: Cross-section within width and length: a rectangle, an ellipse (a circle where both are equal), or a cross.
+    #: Cross-section within width and length: a rectangle, an ellipse (a circle if both are equal), a cross or a ring.
     shape: Shape = "rectangle"
     corner_radius_nm: float = 0.0  #: Radius of the rectangle's four vertical edges, at most half a side.
+    hole_nm: float = (
+        0.0  #: Diameter of the hole of a ring, between 0 and its width; the hole is filled with the ambient.
+    )
 
     @property
     def is_shaped(self) -> bool:
@@ -138,7 +142,9 @@ class PillarCell:
         Returns:
             One fault for each field that differs and is not in ``treated``.
         """
-        outline = {"ellipse": "circles or ellipses", "cross": "crosses"}.get(self.shape, "rounded corners")
+        outline = {"ellipse": "circles or ellipses", "cross": "crosses", "ring": "rings"}.get(
+            self.shape, "rounded corners"
+        )
         special = {
             "angle_deg": (self.angle_deg != 0.0, "0", f"{self.angle_deg:g}"),
             "under, over": (bool(self.under or self.over), "no layers", "layers"),

@@ -56,8 +56,9 @@ def pillar_cell(
         sidewall_angle_deg=spec.sidewall_angle_deg or 90.0,
         sizes_at=spec.sizes_at or "middle",
         is_staggered=spec.is_hexagonal,
-        shape="ellipse" if spec.shape == "circle" else spec.shape,
+        shape="ellipse" if spec.shape == "circle" or (spec.shape == "ring" and not width_nm) else spec.shape,
         corner_radius_nm=spec.corner_radius_nm or 0.0,
+        hole_nm=spec.hole_nm(width_nm) if width_nm else 0.0,
     )
     check(cell)
     return cell
@@ -91,8 +92,8 @@ def solve(
         raise InputError("cell", faults)
     if not faults and numerics.solver != "meep" and numerics.formulation == "adaptive":
         return curved.solve(cell, numerics, known)
-    if cell.is_staggered:
-        _refuse_in_hexagonal_lattice(cell, numerics)
+    if cell.is_staggered or (cell.shape == "ring" and numerics.solver != "meep"):
+        _refuse_for_rcwa(cell, numerics)
     if numerics.solver == "rcwa":
         return rcwa.solve(cell, numerics, known)
     from metafab.cell import meep
@@ -100,14 +101,18 @@ def solve(
     return meep.solve(cell, numerics)
 
 
-def _refuse_in_hexagonal_lattice(cell: PillarCell, numerics: CellNumerics) -> None:
-    """Refuse a cell of a hexagonal lattice that RCWA does not treat."""
+def _refuse_for_rcwa(cell: PillarCell, numerics: CellNumerics) -> None:
+    """Refuse a ring, or a cell of a hexagonal lattice, that RCWA does not treat."""
     faults = cell.untreated("a hexagonal lattice", treated=("is_staggered", "shape, corner_radius_nm"))
     if cell.is_shaped:
         # Curved outlines have the elements alone.
         faults = curved.untreated(cell)
         if numerics.formulation != "adaptive":
-            faults.append(Fault("formulation", "adaptive for ellipses in a hexagonal lattice", numerics.formulation))
+            faults.append(
+                Fault(
+                    "formulation", "adaptive for rings, and for ellipses in a hexagonal lattice", numerics.formulation
+                )
+            )
     if numerics.solver != "rcwa":
         faults.append(Fault("solver", "rcwa for a hexagonal lattice", numerics.solver))
     if faults:

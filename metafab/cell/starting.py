@@ -4,7 +4,8 @@
   given aperture twice per zone (wavelength / (2 NA)) and carries few guided modes (1.65 wavelengths / n of the pillar).
 - Height: 1.85 turns of phase in the pillar's material over the wave beside it, so that sizes between the limits of the
   process cover a turn; 2.2 for shapes that fill less of the cell.
-- Sizes: from a fifth of the period to the period less a gap of about a quarter of it.
+- Sizes: from a fifth of the period to the period less a gap of about a quarter of it. Rings have a hole of a fifth of
+  the period, and walls from an eighth of it.
 """
 
 from __future__ import annotations
@@ -26,12 +27,14 @@ _RECORDS = {
     "al2o3": ("Al2O3/Malitson",),
 }
 _WIDEST = 1.65
-_MARGIN, _TURNS = 0.93, {"rectangle": 1.85, "cross": 2.2, "ellipse": 2.2, "circle": 2.2}
+_MARGIN, _TURNS = 0.93, {"rectangle": 1.85, "cross": 2.2, "ellipse": 2.2, "circle": 2.2, "ring": 2.2}
 #: Gap and smallest size over the period, and the largest of either that a rule needs, nm.
 _GAP, _FEATURE, _LARGEST_RULE_NM = 0.28, 0.22, 100.0
+#: Hole and thinnest wall of rings over the period.
+_HOLE, _WALL = 0.2, 0.125
 _ROUND_NM, _FEWEST_STEPS = 10.0, 40
 #: Target error: the corners of crosses converge slowly.
-_ERROR = {"rectangle": 2e-3, "cross": 5e-3, "ellipse": 2e-3, "circle": 2e-3}
+_ERROR = {"rectangle": 2e-3, "cross": 5e-3, "ellipse": 2e-3, "circle": 2e-3, "ring": 2e-3}
 
 
 def starting_cell(
@@ -47,7 +50,7 @@ def starting_cell(
     Args:
         material: of the pillars: a usual name (TiO2, Si, a-Si, SiN, SiO2, Al2O3) or a record.
         substrate: likewise.
-        shape: cross-section of the pillars: "rectangle", "circle", "ellipse" or "cross".
+        shape: cross-section of the pillars: "rectangle", "circle", "ellipse", "cross" or "ring".
         numerical_aperture: of a lens made of such cells, below 1; 0 for any.
 
     Raises:
@@ -69,6 +72,11 @@ def starting_cell(
         _ROUND_NM * max(1, round(min(share * period_nm, _LARGEST_RULE_NM) / _ROUND_NM)) for share in (_GAP, _FEATURE)
     )
     high_nm = period_nm - gap_nm
+    hole = ""
+    if shape == "ring":
+        hole_nm, wall_nm = (_ROUND_NM * max(1, round(share * period_nm / _ROUND_NM)) for share in (_HOLE, _WALL))
+        low_nm = hole_nm + 2.0 * wall_nm
+        hole = f"\ninner_diameter_nm = {hole_nm:.1f}"
     step_nm = next(step for step in (10.0, 5.0, 2.0, 1.0) if (high_nm - low_nm) / step >= _FEWEST_STEPS or step == 1.0)
     return f"""# Pillars of {pillar} on {ground} at {wavelength_nm:g} nm, by the rules of thumb of
 # `metafab new`; change what your process says. Periods below {wavelength_nm / n_substrate:.0f} nm keep all light in the
@@ -78,7 +86,7 @@ source = "indices: records {pillar} ({n:.4g}) and {ground} ({n_substrate:.4g})"
 [cell]
 period_nm = {period_nm:.1f}
 height_nm = {height_nm:.1f}
-shape = "{shape}"
+shape = "{shape}"{hole}
 
 [materials]
 pillar = "{pillar}"

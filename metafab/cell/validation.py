@@ -89,7 +89,7 @@ def _faults_of_lengths(cell: PillarCell) -> Iterator[Fault]:
 
 
 def _faults_of_corners(cell: PillarCell) -> Iterator[Fault]:
-    """Corners that cannot be rounded, and crosses that do not fit into the cell."""
+    """Corners that cannot be rounded, crosses that do not fit into the cell, and rings without wall or hole."""
     radius, got = cell.corner_radius_nm, f"{cell.corner_radius_nm:g} nm"
     shorter, longer = sorted((cell.width_nm, cell.length_nm))
     if not 0.0 <= radius < math.inf:
@@ -100,6 +100,11 @@ def _faults_of_corners(cell: PillarCell) -> Iterator[Fault]:
         yield Fault("corner_radius_nm", f"0 for the shape {cell.shape}", got)
     if cell.shape == "cross" and longer > min(cell.period_nm):
         yield Fault("width_nm, length_nm", f"a cross within {min(cell.period_nm):g} nm", f"{longer:g} nm")
+    if cell.shape == "ring" and longer > 0.0 and not (shorter == longer and 0.0 < cell.hole_nm < longer):
+        got = f"{cell.width_nm:g} x {cell.length_nm:g} nm with a hole of {cell.hole_nm:g} nm"
+        yield Fault("width_nm, length_nm", "a ring's outer diameter, larger than its hole, as both", got)
+    elif cell.shape != "ring" and cell.hole_nm:
+        yield Fault("hole_nm", f"0 for the shape {cell.shape}", f"{cell.hole_nm:g} nm")
 
 
 def _indices(cell: PillarCell) -> list[tuple[str, complex]]:

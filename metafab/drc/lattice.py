@@ -118,12 +118,14 @@ class _BandRules:
         self._rules = rules_in(design, RULES)
         limits = Limits.of(design, pillars.lattice.database_unit_nm)
         self._gap_dbu = limits.gap
+        walls, holes = self._outline.walls_and_holes(self._size_dbu)
         self._too_small = {
-            "min_width": self._size_dbu[:, 0] < limits.side,
-            "min_length": self._size_dbu[:, 1] < limits.side,
+            "min_width": walls[:, 0] < limits.side,
+            "min_length": walls[:, 1] < limits.side,
+            "min_gap": holes < limits.gap,
         }
         if limits.upright is not None:
-            self._too_small["aspect_ratio"] = self._size_dbu.min(axis=1) < limits.upright
+            self._too_small["aspect_ratio"] = walls.min(axis=1) < limits.upright
 
     def __call__(self, band: _Band) -> _Checked:
         """Check a band."""

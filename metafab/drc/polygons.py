@@ -35,12 +35,14 @@ _SCRIPT = """
 var raw = pillars;
 raw.merged_semantics = false;
 _output(overlap, raw.merged(false, 2), false);
-_output(narrow, raw.width_check(feature_dbu{facing}), false);
+_output(narrow, {walls}.width_check(feature_dbu{facing}), false);
 _output(gaps, raw.isolated_check(gap_dbu), false);
 """
 _FOREIGN = "_output(foreign, raw.non_rectangles, false);"
 _GRID = "_output(grid, raw.grid_check(grid_dbu, grid_dbu), false);"
-_SLENDER = "_output(slender, raw.width_check(upright_dbu{facing}), false);"
+_SLENDER = "_output(slender, {walls}.width_check(upright_dbu{facing}), false);"
+# Merged, a ring has a hole in place of the slit that joins its outer side to it.
+_HOLES = "_output(holes, raw.merged.notch_check(gap_dbu{facing}), false);"
 
 _VISIBLE = {"min_width", "min_length", "aspect_ratio", "min_gap", "overlap", "grid", "foreign"}
 
@@ -188,7 +190,7 @@ class _RowRules:
         # An edge at n file units lies on the design's grid if n is a multiple of the denominator of this fraction.
         grid = Fraction(unit_nm / self.design.mask.database_unit_nm).limit_denominator(1_000_000).denominator
         outputs = {name: kdb.Region() for name in ("foreign", "overlap")}
-        outputs |= {name: kdb.EdgePairs() for name in ("grid", "narrow", "slender", "gaps")}
+        outputs |= {name: kdb.EdgePairs() for name in ("grid", "narrow", "slender", "gaps", "holes")}
         processor = kdb.TilingProcessor()
         processor.tile_size(self.tile_um, self.tile_um)
         processor.tile_origin(opened.left_um, opened.bottom_um + row * self.tile_um)
@@ -205,9 +207,11 @@ class _RowRules:
         # Every edge is on a grid of one unit.
         scripts = {"grid": _GRID if grid > 1 else "", "foreign": _FOREIGN, "aspect_ratio": _SLENDER}
         # A polygon narrows towards its tips: its width is measured between parallel sides that face each other.
-        facing = "" if Outline.of(self.design).is_rectangle else ", false, Metrics.Projection, 0.01"
+        outline = Outline.of(self.design)
+        facing = "" if outline.is_rectangle else ", false, Metrics.Projection, 0.01"
         script = _SCRIPT + "".join(script for rule, script in scripts.items() if rule in self.checked)
-        processor.queue(script.format(facing=facing))
+        script, walls = (script + _HOLES, "raw.merged") if outline.shape == "ring" else (script, "raw")
+        processor.queue(script.format(facing=facing, walls=walls))
         processor.execute("design rules")
         boxes: _Boxes = {rule: set() for rule in self.checked}
         for pair in outputs["narrow"].each():
@@ -223,6 +227,7 @@ class _RowRules:
             boxes["min_gap"].add(between)
             if pair.distance() == 0:  # They touch, but have no area in common, which `merged` would show.
                 boxes["overlap"].add(between)
+        boxes["min_gap"] |= {_between(pair.first.bbox(), pair.second.bbox()) for pair in outputs["holes"].each()}
         return boxes
 
 

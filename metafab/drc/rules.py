@@ -10,10 +10,10 @@ from metafab.core.errors import InputError
 from metafab.spec import Design
 
 RULES = {
-    "min_width": "a pillar narrower along x than `rules.min_feature_nm`",
-    "min_length": "a pillar shorter along y than `rules.min_feature_nm`",
+    "min_width": "a pillar, or the wall of a ring, narrower along x than `rules.min_feature_nm`",
+    "min_length": "a pillar, or the wall of a ring, shorter along y than `rules.min_feature_nm`",
     "aspect_ratio": "a pillar whose shorter side is below its height over `rules.max_aspect_ratio`",
-    "min_gap": "two pillars nearer than `rules.min_gap_nm`, corners of diagonal neighbours included",
+    "min_gap": "two pillars nearer than `rules.min_gap_nm`, diagonal neighbours included, or a narrower hole",
     "overlap": "two pillars that overlap or touch",
     "grid": "edges that are not a whole number of database units",
     "lattice_site": "a rectangle whose centre is not a site of the lattice, or that is larger than a unit cell",

@@ -1,9 +1,11 @@
-"""Outline of a pillar in the mask: a rectangle, or the polygon of an ellipse, a cross or rounded corners.
+"""Outline of a pillar in the mask: a rectangle, or the polygon of an ellipse, a cross, a ring or rounded corners.
 
 Polygons have their vertices on the database grid and are symmetric about both axes. Exchanging width and length
 exchanges x and y, so that a mask may be mirrored and turned. A round outline is circumscribed by its polygon: the sides
 touch the curve, and those at the axes touch it where it is widest, so that width, length and gaps along the axes are
 exact. The corners stand out by at most :data:`CHORD_NM`; rounding moves them by at most 0.71 database units.
+
+A ring is one polygon: a slit without width along +x joins its outer side to its hole, as mask formats have no holes.
 """
 
 from __future__ import annotations
@@ -21,13 +23,13 @@ from metafab.core.numeric.compiled import compiled
 from metafab.spec import Design
 
 IntArray = NDArray[np.int64]
-Shape = Literal["rectangle", "rounded", "ellipse", "cross"]
+Shape = Literal["rectangle", "rounded", "ellipse", "cross", "ring"]
 
 #: Largest distance of a polygon's corners from the curve that it approximates.
 CHORD_NM = 0.6
 
-#: Number of each shape in compiled kernels.
-_KINDS: dict[Shape, int] = {"rectangle": 0, "rounded": 1, "ellipse": 2, "cross": 3}
+#: Number of each shape in compiled kernels, which see a ring by its outer side.
+_KINDS: dict[Shape, int] = {"rectangle": 0, "rounded": 1, "ellipse": 2, "cross": 3, "ring": 2}
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,8 @@ class Outline:
     shape: Shape  #: Shape of the cross-section.
     database_unit_nm: float  #: Size of one database unit (dbu).
     radius_dbu: float = 0.0  #: Radius of rounded corners; at most half the shorter side of a pillar is applied.
+    wall_dbu: int = 0  #: Drawn thickness of a ring's wall; 0 where the diameter of its hole is given instead.
+    hole_dbu: int = 0  #: Drawn diameter of a ring's hole, where that is given.
 
     @classmethod
     def of(cls, design: Design) -> Outline:
@@ -44,7 +48,10 @@ class Outline:
         cell, unit_nm = design.unit_cell.cell, design.mask.database_unit_nm
         radius_dbu = (cell.corner_radius_nm or 0.0) / unit_nm if design.mask.draw_corners else 0.0
         shape: Shape = "ellipse" if cell.shape == "circle" else cell.shape
-        return cls("rounded" if radius_dbu else shape, unit_nm, radius_dbu)
+        wall_nm, hole_nm = design.drawn_ring_nm
+        return cls(
+            "rounded" if radius_dbu else shape, unit_nm, radius_dbu, round(wall_nm / unit_nm), round(hole_nm / unit_nm)
+        )
 
     @property
     def is_rectangle(self) -> bool:
@@ -59,7 +66,7 @@ class Outline:
 
     @property
     def kind(self) -> int:
-        """Number of the shape in compiled kernels: 0 rectangle, 1 rounded, 2 ellipse, 3 cross."""
+        """Number of the shape in compiled kernels: 0 rectangle, 1 rounded, 2 ellipse or ring, 3 cross."""
         return _KINDS[self.shape]
 
     def boxes(self, size_dbu: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -67,6 +74,16 @@ class Outline:
         if self.shape != "cross":
             return size_dbu
         return np.asarray(np.repeat(size_dbu.max(axis=1, keepdims=True), 2, axis=1))
+
+    def walls_and_holes(self, size_dbu: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+        """Walls along x and y, shape (n, 2) like the sizes, and diameters of the holes, shape (n,), of drawn rings.
+
+        Of other shapes the walls are the sizes, and the holes those of the largest integer: none.
+        """
+        if self.shape != "ring":
+            return size_dbu, np.full(len(size_dbu), np.iinfo(np.int32).max, dtype=np.int32)
+        hole = np.array([self.hole_of(width) for width in size_dbu[:, 0].tolist()], dtype=np.int32)
+        return (size_dbu - hole[:, None]) // 2, hole
 
     def vertices(self, width_dbu: int, length_dbu: int) -> IntArray:
         """Corners relative to the centre, counter-clockwise, shape (n, 2); width and length are even numbers."""
@@ -95,6 +112,8 @@ class Outline:
         The first corner, the sense of rotation and corners on straight sides make no difference. The width of a cross
         is the larger one.
         """
+        if self.shape == "ring":
+            return self._ring_of(polygon)
         low, high = polygon.min(axis=0), polygon.max(axis=0)
         (width, length), twice_centre = (high - low).tolist(), low + high
         if width <= 0 or length <= 0 or width % 2 or length % 2:
@@ -106,6 +125,20 @@ class Outline:
         if length <= 0 or not np.array_equal(centred, canonical_polygon(self.vertices(width, length))):
             return None
         return width, length
+
+    def _ring_of(self, polygon: IntArray) -> tuple[int, int] | None:
+        """Outer diameter, twice, of the ring that a polygon is, wherever its slit lies; None for other shapes."""
+        loops, circle = _loops(polygon), Outline("ellipse", self.database_unit_nm)
+        sizes = sorted((circle.size_of(loop) or (0, 0) for loop in loops), reverse=True)
+        centres = {tuple((loop.min(axis=0) + loop.max(axis=0)).tolist()) for loop in loops}
+        if len(loops) != 2 or len(centres) != 1:
+            return None
+        outer, hole = sizes
+        return outer if outer[0] == outer[1] and hole == (self.hole_of(outer[0]),) * 2 else None
+
+    def hole_of(self, width_dbu: int) -> int:
+        """Diameter of the hole of a drawn ring with an outer diameter, all in database units."""
+        return width_dbu - 2 * self.wall_dbu if self.wall_dbu else self.hole_dbu
 
 
 #: Outline of rectangular pillars, for any database unit.
@@ -140,14 +173,43 @@ def _vertices(outline: Outline, width: int, length: int) -> IntArray:
     if outline.shape == "cross" and width != length:
         arm, reach = sorted(half.tolist())
         quadrant = np.array([[reach, arm], [arm, arm], [arm, reach]], dtype=np.int64)
-    elif outline.shape in {"ellipse", "rounded"}:
+    elif outline.shape in {"ellipse", "rounded", "ring"}:
         radii_dbu = half.astype(np.float64)
         if outline.shape == "rounded":
             radii_dbu = np.full(2, min(outline.radius_dbu, *half.tolist()))
         arc = (half - radii_dbu) + radii_dbu * _tangent_polygon(radii_dbu.max() * outline.database_unit_nm)
         quadrant = np.rint(arc).astype(np.int64)
     upper = np.concatenate([quadrant, quadrant[::-1] * [-1, 1]])
-    return canonical_polygon(np.concatenate([upper, -upper]))
+    around = canonical_polygon(np.concatenate([upper, -upper]))
+    if outline.shape != "ring":
+        return around
+    hole = outline.hole_of(width)
+    if not 0 < hole < width:
+        raise ValueError(f"no ring of {outline} has an outer diameter of {width} database units")
+    within = _vertices(Outline("ellipse", outline.database_unit_nm), hole, hole)
+    return canonical_polygon(np.concatenate([_from_axis(around), _from_axis(within)[::-1]]))
+
+
+def _loops(polygon: IntArray) -> list[IntArray]:
+    """Closed loops of a polygon of shape (n, 2) without its slits, sides that it runs along both ways."""
+    corners = [tuple(corner) for corner in polygon.tolist()]
+    sides = {side for side in zip(corners, [*corners[1:], corners[0]], strict=True) if side[0] != side[1]}
+    after = {begin: end for begin, end in sides if (end, begin) not in sides}
+    loops = []
+    while after:
+        loop, place = [], next(iter(after))
+        while place in after:
+            loop.append(place)
+            place = after.pop(place)
+        loops.append(np.array(loop, dtype=np.int64))
+    return loops
+
+
+def _from_axis(polygon: IntArray) -> IntArray:
+    """The polygon of shape (n, 2) closed at its point on +x: shape (n + 2, 2), counter-clockwise from there."""
+    first = int(np.argmax(np.where(polygon[:, 1] >= 0, polygon[:, 0] - 1e-9 * polygon[:, 1], -np.inf)))
+    start = np.array([[polygon[first, 0], 0]])
+    return np.concatenate([start, np.roll(polygon, -first, axis=0), start])
 
 
 def _tangent_polygon(radius_nm: float) -> FloatArray:

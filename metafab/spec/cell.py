@@ -79,8 +79,8 @@ class CellGeometry(Checked):
     period_nm: Annotated[tuple[Positive, Positive], BOTH]
     height_nm: Positive  #: Height of the pillars.
     #: Cross-section within width and length. Circles have equal width and length; a cross is the union of the rectangle
-    #: and the same rectangle turned by 90 degrees.
-    shape: Literal["rectangle", "ellipse", "circle", "cross"] = "rectangle"
+    #: and the same rectangle turned by 90 degrees; a ring is a circle with a round hole.
+    shape: Literal["rectangle", "ellipse", "circle", "cross", "ring"] = "rectangle"
     #: Angle between wall and substrate inside the pillar; 90 without the key. Below 90 the pillar narrows upwards.
     sidewall_angle_deg: SidewallAngle | None = None
     #: Height at which width and length are measured; the middle without the key.
@@ -91,6 +91,8 @@ class CellGeometry(Checked):
     #: period.
     lattice: Literal["rectangular", "hexagonal"] | None = None
     corner_radius_nm: NonNegative | None = None  #: Radius of a rectangle's corners.
+    wall_nm: Positive | None = None  #: Thickness of a ring's wall, equal for all outer diameters.
+    inner_diameter_nm: Positive | None = None  #: Diameter of a ring's hole, equal for all outer diameters.
 
     @model_validator(mode="after")
     def _rows(self) -> CellGeometry:
@@ -114,11 +116,24 @@ class CellGeometry(Checked):
             )
         if self.corner_radius_nm and self.shape != "rectangle":
             yield f"`corner_radius_nm` rounds a rectangle's corners, not those of the shape {self.shape!r}"
+        given = [name for name in ("wall_nm", "inner_diameter_nm") if getattr(self, name) is not None]
+        if len(given) != (self.shape == "ring"):
+            got = " and ".join(f"`{name}`" for name in given) or "neither"
+            yield f"a ring, and no other shape, has `wall_nm` or `inner_diameter_nm`: got {got} for {self.shape!r}"
 
     @property
     def is_hexagonal(self) -> bool:
         """Whether every other row of pillars is shifted by half a period."""
         return self.lattice == "hexagonal"
+
+    @property
+    def is_round(self) -> bool:
+        """Whether the outline is a circle, whose diameter is both width and length."""
+        return self.shape in {"circle", "ring"}
+
+    def hole_nm(self, width_nm: float) -> float:
+        """Diameter of the hole of a ring with an outer diameter of ``width_nm``; 0 for other shapes."""
+        return width_nm - 2.0 * self.wall_nm if self.wall_nm else self.inner_diameter_nm or 0.0
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -187,7 +202,7 @@ class Sweep(Checked):
     """Sizes of a library, and its target error."""
 
     width_nm: tuple[Positive, Positive]  #: Smallest and largest width.
-    length_nm: tuple[Positive, Positive]  #: Smallest and largest length; for circles equal to `width_nm`.
+    length_nm: tuple[Positive, Positive]  #: Smallest and largest length; for circles and rings equal to `width_nm`.
     size_grid_nm: Positive  #: Step of the sizes; both ranges hold a whole number of steps.
     target_error: TargetError = 2e-3  #: Target error of the complex transmission t of every size.
     axes: Axes | None = None  #: Further axes of the library.
@@ -253,11 +268,14 @@ class UnitCell(Checked):
                 f"{', '.join(wrong)}: lengths must be {least_nm:g} to {most_nm:g} nm, a hundredth to a hundred of the "
                 f"wavelength of {wavelength_nm:g} nm; are they in nanometres?"
             )
-        circles = self.cell.shape == "circle"
+        circles = self.cell.is_round
         if circles and self.sweep.width_nm != self.sweep.length_nm:
-            yield "`sweep.length_nm` of circles must equal `sweep.width_nm`: both are the diameter"
+            yield "`sweep.length_nm` of circles and rings must equal `sweep.width_nm`: both are the outer diameter"
+        smallest_nm = self.sweep.width_nm[0]
+        if self.cell.shape == "ring" and not 0.0 < self.cell.hole_nm(smallest_nm) < smallest_nm:
+            yield f"`sweep.width_nm` starts at {smallest_nm:g} nm: no ring of that outer diameter has this wall or hole"
         if circles and self.sweep.axes is not None and self.sweep.axes.spans:
-            yield "`sweep.axes` is not available for circles; build one library for each value"
+            yield "`sweep.axes` is not available for circles and rings; build one library for each value"
         spans = {} if self.sweep.axes is None else self.sweep.axes.spans
         for name, (low, high) in spans.items():
             if not low <= self.nominal(name) <= high:

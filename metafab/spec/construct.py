@@ -28,7 +28,7 @@ def make_unit_cell(
     size_grid_nm: float = 2.0,
     ambient: complex | str = 1.0,
     side: Side = "substrate",
-    shape: Literal["rectangle", "ellipse", "circle", "cross"] = "rectangle",
+    shape: Literal["rectangle", "ellipse", "circle", "cross", "ring"] = "rectangle",
     lattice: Literal["rectangular", "hexagonal"] = "rectangular",
     target_error: float = 2e-3,
 ) -> UnitCell:

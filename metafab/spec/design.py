@@ -263,6 +263,7 @@ class Design(Checked):
                     f"`rules.{name}` must be at least {least_nm:g} nm, a thousandth of the wavelength, got "
                     f"{getattr(self.rules, name):g}; is it in nanometres?"
                 )
+        yield from self._faults_of_rings()
         if self.verify.centre_um is not None and (self.split_angle_deg or self.scene is not None):
             yield (
                 "`verify.centre_um` moves the window of a device without scene and `split_lens`, whose windows follow "
@@ -286,6 +287,25 @@ class Design(Checked):
         if stop_um is not None and stop_um > self.device.aperture_um:
             yield f"`optics.stop_um` must be at most `device.aperture_um`, {self.device.aperture_um:g} um"
 
+    def _faults_of_rings(self) -> Iterator[str]:
+        """Walls and holes that the mask cannot draw, or that break the rules at every outer diameter."""
+        (wall_nm, hole_nm), unit_nm = self.drawn_ring_nm, self.mask.database_unit_nm
+        if self.unit_cell.cell.shape != "ring":
+            return
+        for name, length_nm, step_nm, rule in (
+            ("wall_nm", wall_nm, unit_nm, "min_feature_nm"),
+            ("inner_diameter_nm", hole_nm, 2.0 * unit_nm, "min_gap_nm"),
+        ):
+            if length_nm and abs(length_nm / step_nm - round(length_nm / step_nm)) > 1e-6:
+                yield f"`{name}` of the unit cell, drawn as {length_nm:g} nm, must be a multiple of {step_nm:g} nm"
+            if length_nm and length_nm < getattr(self.rules, rule) - 1e-6:
+                got = f"{getattr(self.rules, rule):g} nm"
+                yield f"`rules.{rule}` must be at most {length_nm:g} nm, the drawn `{name}` of the unit cell, got {got}"
+        if any(copy.bias_nm for copy in self.mask.copies):
+            yield "`mask.copies` with a `bias_nm` are not available for rings; use `mask.bias_nm`"
+        if self.rules.cd_sigma_nm > 0.0:
+            yield "`rules.cd_sigma_nm` is not available for rings; `[tolerance] cd_bias_nm` solves them"
+
     @property
     def stated_limits(self) -> dict[str, float | None]:
         """Limits of reading a file by name; None where the readers choose."""
@@ -301,7 +321,19 @@ class Design(Checked):
         """Smallest width and length of a pillar, nm, by the rules for the drawn feature and the aspect ratio."""
         ratio = self.rules.max_aspect_ratio
         upright_nm = 0.0 if ratio is None else self.unit_cell.cell.height_nm / ratio
-        return max(self.rules.min_feature_nm - self.mask.bias_nm, upright_nm)
+        side_nm = max(self.rules.min_feature_nm - self.mask.bias_nm, upright_nm)
+        if self.unit_cell.cell.shape != "ring":
+            return side_nm
+        # A ring's drawn wall keeps the rule of features, its drawn hole that of gaps.
+        wall_nm, hole_nm = self.unit_cell.cell.wall_nm, self.unit_cell.cell.inner_diameter_nm
+        return self.min_spacing_nm + 2.0 * wall_nm if wall_nm else 2.0 * side_nm + (hole_nm or 0.0)
+
+    @property
+    def drawn_ring_nm(self) -> tuple[float, float]:
+        """Drawn wall and drawn hole of a ring, nm, with ``mask.bias_nm``; 0 for the one that the size decides."""
+        cell, bias_nm = self.unit_cell.cell, self.mask.bias_nm
+        wall_nm, hole_nm = cell.wall_nm, cell.inner_diameter_nm
+        return (0.0 if wall_nm is None else wall_nm + bias_nm), (0.0 if hole_nm is None else hole_nm - bias_nm)
 
     @property
     def min_spacing_nm(self) -> float:

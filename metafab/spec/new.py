@@ -50,6 +50,9 @@ class NewLens:
         focal_um = 0.5 * self.aperture_um / math.tan(math.asin(self.numerical_aperture))
         spans_nm = unit_cell.sweep.width_nm, unit_cell.sweep.length_nm
         gap_nm = min(period - high for period, (_, high) in zip(unit_cell.cell.period_nm, spans_nm, strict=True))
+        feature_nm = min(low for low, _ in spans_nm)
+        if hole_nm := unit_cell.cell.hole_nm(feature_nm):
+            feature_nm, gap_nm = 0.5 * (feature_nm - hole_nm), min(gap_nm, hole_nm)
         pixel_um = min(0.5, 1e-3 * unit_cell.illumination.wavelength_nm / (8.0 * self.numerical_aperture))
         return {
             "numerical_aperture": f"{self.numerical_aperture:g}",
@@ -58,7 +61,7 @@ class NewLens:
             "pixel_um": f"{pixel_um:.3g}",
             # Sizes up to the period leave no gap between equals; the usual rule then limits them.
             "min_gap_nm": f"{gap_nm if gap_nm > 0.0 else 100.0:.1f}",
-            "min_feature_nm": f"{min(low for low, _ in spans_nm):.1f}",
+            "min_feature_nm": f"{feature_nm:.1f}",
         }
 
 

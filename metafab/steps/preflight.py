@@ -75,7 +75,8 @@ def _unreachable_rules(design: Design) -> list[Fault]:
     for axis, (name, (low, high)) in enumerate((("width", sweep.width_nm), ("length", sweep.length_nm))):
         if design.min_side_nm > high:
             expected = f"at most the largest {name} of the library, {high:g} nm"
-            faults.append(Fault("rules.min_feature_nm", expected, f"{design.min_side_nm:g} nm", "sweep larger sizes"))
+            keys = "rules.min_feature_nm" + (", rules.min_gap_nm" if design.unit_cell.cell.shape == "ring" else "")
+            faults.append(Fault(keys, expected, f"{design.min_side_nm:g} nm", "sweep larger sizes"))
         apart_nm = period_nm[axis] - max(low, design.min_side_nm)
         if not design.unit_cell.cell.is_hexagonal and design.min_spacing_nm > apart_nm:
             expected = (

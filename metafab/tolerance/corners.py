@@ -286,7 +286,9 @@ def _plan(sizes: MaskSizes, library: Library, corner: Mapping[str, float]) -> _P
     if bias_nm is None:
         sloped = "sidewall_angle_deg" in corner
         return _Plan(sizes.sample, sizes.sample[:SLICE_CHECKS] if sloped else _NONE, sampled=True)
-    outside = np.flatnonzero(must_be_solved(library, sizes.size_nm + bias_nm))
+    # The hole of a ring shrinks by the bias as well: no size of the library is that ring.
+    is_ring = library.unit_cell.cell.shape == "ring"
+    outside = np.flatnonzero(is_ring | must_be_solved(library, sizes.size_nm + bias_nm))
     # Of a size and its mirror image, one is solved.
     return _Plan(outside[sizes.mirror[outside] >= outside] if is_square(library.unit_cell) else outside)
 

@@ -1,4 +1,4 @@
-"""Ellipses and rounded rectangles by spectral elements that follow their outlines: a PillarCell in, a CellResponse out.
+"""Ellipses, rings and rounded rectangles by spectral elements along their outlines: PillarCell in, CellResponse out.
 
 - ``quads``      curved quadrilaterals by transfinite interpolation
 - ``mesh``       a quarter of the cell as quadrilaterals, and the cells that have one

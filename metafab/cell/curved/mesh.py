@@ -1,4 +1,4 @@
-"""Quarter of a cell cut into curved quadrilaterals: ellipses, and rectangles with rounded corners.
+"""Quarter of a cell cut into curved quadrilaterals: ellipses, rings, and rectangles with rounded corners.
 
 The quarter reaches from the middle of the pillar to half a period. Mirror planes bound it.
 """
@@ -6,7 +6,7 @@ The quarter reaches from the middle of the pillar to half a period. Mirror plane
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from metafab.cell.curved.quads import Arc, Point, Quad
 from metafab.cell.pillar import PillarCell
@@ -39,14 +39,14 @@ def is_treated(cell: PillarCell) -> bool:
 def untreated(cell: PillarCell) -> list[Fault]:
     """Faults of a cell that has no elements.
 
-    Upright ellipses and rounded rectangles that leave a gap have, among dielectrics, under light along z, with layers
-    of the pillar's own outline or of none.
+    Upright ellipses, rings and rounded rectangles that leave a gap have, among dielectrics, under light along z, with
+    layers of the pillar's own outline or of none.
     """
     purpose = "spectral elements"
     faults = cell.untreated(purpose, treated=("under, over", "is_staggered", "shape, corner_radius_nm"))
-    shapes = "an ellipse" if cell.is_staggered else "an ellipse or a rounded rectangle"
+    shapes = "an ellipse or a ring" if cell.is_staggered else "an ellipse, a ring or a rounded rectangle"
     is_rounded = cell.shape == "rectangle" and cell.corner_radius_nm > 0.0 and not cell.is_staggered
-    if cell.shape != "ellipse" and not is_rounded:
+    if cell.shape not in {"ellipse", "ring"} and not is_rounded:
         faults.append(Fault("shape, corner_radius_nm", f"{shapes} for {purpose}", cell.shape))
     half_nm, radius_nm = _sizes(cell)
     reach = [radius / half for radius, half in zip(radius_nm, half_nm, strict=True)]
@@ -75,11 +75,18 @@ def quarter_mesh(cell: PillarCell) -> QuarterMesh:
     A hexagonal lattice takes the half of the quarter of its centred cell of two rows that lies about one pillar.
     """
     half_nm, radius_nm = _sizes(cell)
-    if cell.shape != "ellipse":
+    if cell.shape == "rectangle":
         return _rounded(half_nm, radius_nm, min(cell.corner_radius_nm, *radius_nm))
     arc = Arc((0.0, 0.0), radius_nm, 0.0, 0.5 * math.pi)
     middle = (0.5 * half_nm[0], 0.5 * half_nm[1]) if cell.is_staggered else None
     around = _around(arc, (half_nm[0], 0.0), middle or half_nm, (0.0, half_nm[1]))
+    if cell.shape == "ring":
+        hole, wall = (
+            replace(arc, half_nm=(0.5 * size, 0.5 * size))
+            for size in (cell.hole_nm, 0.5 * (cell.hole_nm + cell.width_nm))
+        )
+        inside = (*_disc(hole, inside=False), *_between(hole, wall, -1), *_between(wall, arc, 1))
+        return QuarterMesh((*inside, *around), half_nm, middle)
     return QuarterMesh((*_disc(arc), *around), half_nm, middle)
 
 
@@ -116,7 +123,7 @@ def _rounded(half_nm: Point, size_nm: Point, radius_nm: float) -> QuarterMesh:
     return QuarterMesh(tuple(quads), half_nm)
 
 
-def _disc(arc: Arc) -> tuple[Quad, Quad, Quad]:
+def _disc(arc: Arc, *, inside: bool = True) -> tuple[Quad, Quad, Quad]:
     """A quarter disc within its arc of a quarter turn."""
     o = arc.centre_nm
     begin, middle, end = (arc.at(share) for share in (0.0, 0.5, 1.0))
@@ -126,9 +133,18 @@ def _disc(arc: Arc) -> tuple[Quad, Quad, Quad]:
 
     a, b, c = within(begin, o, _ON_AXIS), within(end, o, _ON_AXIS), within(begin, end, _ON_DIAGONAL)
     return (
-        Quad((o, a, c, b), inside=True),
-        Quad((a, begin, middle, c), inside=True, right=arc.part(0.0, 0.5), gathered=(1, 0)),
-        Quad((b, c, middle, end), inside=True, top=arc.part(1.0, 0.5), gathered=(0, 1)),
+        Quad((o, a, c, b), inside),
+        Quad((a, begin, middle, c), inside, right=arc.part(0.0, 0.5), gathered=(1, 0)),
+        Quad((b, c, middle, end), inside, top=arc.part(1.0, 0.5), gathered=(0, 1)),
+    )
+
+
+def _between(inner: Arc, outer: Arc, gathered: int) -> tuple[Quad, Quad]:
+    """A quarter of a pillar's wall between two arcs, gathered at the inner (-1) or the outer one (1)."""
+    (a, b, c), (d, e, f) = ([arc.at(share) for share in (0.0, 0.5, 1.0)] for arc in (inner, outer))
+    return (
+        Quad((a, d, e, b), True, left=inner.part(0.0, 0.5), right=outer.part(0.0, 0.5), gathered=(gathered, 0)),
+        Quad((c, b, e, f), True, bottom=inner.part(1.0, 0.5), top=outer.part(1.0, 0.5), gathered=(0, gathered)),
     )
 
 

@@ -102,9 +102,16 @@ def _pillar(cell: PillarCell, layer: Slice, low: float, high: float) -> list[Blo
     assert layer.width_nm is not None and layer.length_nm is not None  # layers_of states both
     half_x, half_y = 5e-4 * layer.width_nm, 5e-4 * layer.length_nm
     epsilon = permittivity((layer.n_inside, layer.n_inside))
-    if cell.shape == "ellipse" or cell.corner_radius_nm:
-        outline = tuple((x, y) for x, y in _curve(cell, half_x, half_y).tolist())
-        return [Block((-half_x, -half_y, low), (half_x, half_y, high), epsilon, outline=outline)]
+    if cell.shape in {"ellipse", "ring"} or cell.corner_radius_nm:
+        curves = [(half_x, half_y, epsilon)]
+        if cell.shape == "ring":
+            # Both sides of a sloped wall recede alike. The hole's block comes after the pillar's.
+            half_hole = max(0.0, 5e-4 * (cell.hole_nm + cell.width_nm) - half_x)
+            curves.append((half_hole, half_hole, permittivity((layer.n_around, layer.n_around))))
+        return [
+            Block((-x, -y, low), (x, y, high), eps, outline=tuple((u, v) for u, v in _curve(cell, x, y).tolist()))
+            for x, y, eps in curves
+        ]
     arms = {(half_x, half_y), (half_y, half_x)} if cell.shape == "cross" else {(half_x, half_y)}
     return [Block((-x, -y, low), (x, y, high), epsilon) for x, y in sorted(arms)]
 
@@ -115,7 +122,7 @@ def _curve(cell: PillarCell, half_x: float, half_y: float) -> FloatArray:
     # The polygon of n vertices has n sin(2 pi / n) / (2 pi) of the area of the curve around it.
     wider = 1.0 / math.sqrt(_VERTICES * math.sin(2.0 * math.pi / _VERTICES) / (2.0 * math.pi))
     direction = wider * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
-    if cell.shape == "ellipse":
+    if cell.shape in {"ellipse", "ring"}:
         return direction * (half_x, half_y)
     radius = min(1e-3 * cell.corner_radius_nm, half_x, half_y)
     return radius * direction + np.sign(direction) * (half_x - radius, half_y - radius)

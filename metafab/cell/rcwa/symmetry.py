@@ -118,8 +118,14 @@ def symmetry_classes(
 
     Raises:
         InputError: light at an angle meets a birefringent substrate of unknown index along z, or comes out of a biaxial
-            or an absorbing one.
+            or an absorbing one; or the pillar is a ring.
     """
+    if cell.shape == "ring":
+        expected, remedy = (
+            "another shape for RCWA",
+            "rings stand upright, of dielectrics, under light along z, or use meep",
+        )
+        raise InputError.single("cell", "shape", expected, "'ring'", remedy)
     layers = layers_of(cell, steps)
     if cell.is_staggered:
         x, y, counts = _staggered_axes(cell, orders, formulation)

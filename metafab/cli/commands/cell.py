@@ -66,8 +66,9 @@ def cell_command(
     numerics = cell.CellNumerics(target_error=target_error or spec.sweep.target_error, solver=name)
     answer = cell.solve(problem, numerics)
     is_fdtd = name == "meep"
-    # Single orders are RCWA's, which has no ellipses of a hexagonal lattice.
-    has_orders = not is_fdtd and rcwa.diffracts(problem) and not (problem.is_staggered and problem.is_shaped)
+    # Single orders are RCWA's, which has no rings, and no ellipses of a hexagonal lattice.
+    by_elements_alone = problem.shape == "ring" or (problem.is_staggered and problem.is_shaped)
+    has_orders = not is_fdtd and rcwa.diffracts(problem) and not by_elements_alone
     (t_xx, t_xy), (t_yx, t_yy) = answer.t
     figures = CellFigures(
         t_xx=complex(t_xx),
@@ -99,9 +100,9 @@ def _require_size(spec: UnitCell, width_nm: float, length_nm: float) -> None:
         if 0.0 < size_nm < least_nm:
             expected = f"0, or at least {least_nm:g} nm, a thousandth of the wavelength"
             faults.append(Fault(name, expected, f"{size_nm:g} nm", "is it in nanometres?"))
-    if spec.cell.shape == "circle" and width_nm != length_nm:
+    if spec.cell.is_round and width_nm != length_nm:
         got = f"{width_nm:g} and {length_nm:g} nm"
-        faults.append(Fault("--length-nm", "the width: both are the diameter of a circle", got))
+        faults.append(Fault("--length-nm", "the width: both are the outer diameter of a circle or ring", got))
     if faults:
         raise InputError("cell", faults)
 

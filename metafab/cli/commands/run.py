@@ -30,7 +30,7 @@ def new_command(
     wavelength_nm: Annotated[float | None, typer.Option(help="Wavelength of a new unit cell.")] = None,
     material: Annotated[str | None, typer.Option(help="Its pillars: TiO2, Si, a-Si, SiN or a record.")] = None,
     substrate: Annotated[str | None, typer.Option(help="Its substrate [default: SiO2].")] = None,
-    shape: Annotated[str | None, typer.Option(help="Its shape: rectangle, circle, ellipse or cross.")] = None,
+    shape: Annotated[str | None, typer.Option(help="Its shape: rectangle, circle, ellipse, cross or ring.")] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the files.")] = Path(),
     json_: Json = False,
 ) -> None:

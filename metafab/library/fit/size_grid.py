@@ -37,7 +37,7 @@ class SizeGrid:
         """Return the grid of a unit cell's sweep."""
         sweep = unit_cell.sweep
         exchange = is_square(unit_cell) and sweep.width_nm == sweep.length_nm
-        diagonal = unit_cell.cell.shape == "circle"
+        diagonal = unit_cell.cell.is_round
         return cls(_axis(sweep, sweep.width_nm), _axis(sweep, sweep.length_nm), exchange, diagonal)
 
     @property

@@ -87,7 +87,7 @@ def import_sweep(
 
 
 def _require_shape(table: SweepTable, unit_cell: UnitCell, path: Path) -> None:
-    circles = unit_cell.cell.shape == "circle"
+    circles = unit_cell.cell.is_round
     if table.circles != circles:
         got = "diameters" if table.circles else "widths and lengths"
         expected = f"{'diameters' if circles else 'widths and lengths'} for the shape {unit_cell.cell.shape!r}"

@@ -35,6 +35,24 @@ def test_a_lens_of_ones_own(tmp_path: Path) -> None:
     assert again.code == 2
 
 
+def test_a_lens_of_rings_has_rules_for_walls_and_holes(tmp_path: Path) -> None:
+    options = ["--wavelength-nm", "1550", "--material", "Si", "--shape", "ring"]
+    answer = metafab("new", "own", "--kind", "metalens", *options, "-o", tmp_path, "--json")
+    assert answer.code == 0, answer.stderr
+    design = load_design(tmp_path / "own.toml")
+    preflight(design)
+    cell, (narrowest_nm, _) = design.unit_cell.cell, design.unit_cell.sweep.width_nm
+    assert cell.inner_diameter_nm is not None
+    assert design.rules.min_feature_nm == 0.5 * (narrowest_nm - cell.inner_diameter_nm)
+    assert design.rules.min_gap_nm <= cell.inner_diameter_nm
+    assert design.min_side_nm == narrowest_nm
+    text = (tmp_path / "own_cell.toml").read_text(encoding="utf-8")
+    (tmp_path / "own_cell.toml").write_text(text.replace('"ring"', '"circle"'), encoding="utf-8")
+    answer = metafab("layout", tmp_path / "own.toml")
+    assert answer.code == 2
+    assert "a ring, and no other shape" in answer.stderr
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -158,6 +158,56 @@ def test_the_field_around_them_is_no_sum_of_rectangles(shaped: tuple[Design, Ass
         mask.write(mapped.pillars, tmp_path, replace(design, mask=replace(design.mask, tone="inverted")))
 
 
+@pytest.mark.parametrize("suffix", ["gds", "oas"])
+def test_rings_keep_their_rules_and_are_read_back(
+    suffix: str, tiny_design: Design, smooth_library: Library, profile: PhaseProfile, tmp_path: Path
+) -> None:
+    """Walls of 60 nm, drawn 4 nm thicker; a rule of 90 nm finds each hole that is narrower."""
+    geometry = replace(tiny_design.unit_cell.cell, shape="ring", wall_nm=60.0)
+    unit_cell = replace(
+        tiny_design.unit_cell,
+        cell=geometry,
+        sweep=replace(tiny_design.unit_cell.sweep, width_nm=(150.0, 250.0), length_nm=(150.0, 250.0)),
+    )
+    design = replace(
+        tiny_design,
+        unit_cell=unit_cell,
+        device=replace(tiny_design.device, aperture_um=10.0),
+        rules=replace(tiny_design.rules, min_gap_nm=40.0, min_feature_nm=62.0),
+        mask=replace(tiny_design.mask, write_field_um=11.9, bias_nm=4.0, formats=(suffix,)),
+    )
+    library = _coarse(smooth_library, unit_cell)
+    diagonal = library.width_nm == library.length_nm[:, None]
+    mapped = layout.assign(profile, replace(library, error=np.where(diagonal, library.error, np.nan)), design)
+    drawn = mask.biased(mapped.pillars, 4.0)
+    path = mask.write(mapped.pillars, tmp_path, design)[0].path
+    read_back = mask.read(path, design)
+    assert np.array_equal(sizes_at_sites(read_back.pillars), sizes_at_sites(drawn))
+    assert not read_back.foreign
+    used = sizes_at_sites(drawn)[..., 0] * design.mask.database_unit_nm
+    assert used[used > 0].min() >= 40.0 + 2 * 64.0
+    near = replace(design, rules=replace(design.rules, min_gap_nm=90.0))
+    holes = np.count_nonzero((used > 0) & (used - 2 * 64.0 < 90.0))
+    assert 0 < holes < np.count_nonzero(used)
+    assert drc.check(path, design).clean
+    assert drc.check(path, near).violations["min_gap"] == holes
+    library_ = gdstk.read_gds(str(path)) if suffix == "gds" else gdstk.read_oas(str(path))
+    area = sum(polygon.area() for polygon in library_.top_level()[0].get_polygons(layer=1, datatype=0))
+    walls_um2 = np.pi * 0.064 * (used[used > 0] - 64.0).sum() * 1e-3
+    assert area == pytest.approx(walls_um2, rel=0.02)
+    pytest.importorskip("klayout.db")
+    assert drc.check(path, design, engine="polygons", work=Work(1)).clean
+    assert drc.check(path, near, engine="polygons", work=Work(1)).violations["min_gap"] >= holes
+    for change, message in (
+        ({"rules": replace(design.rules, min_feature_nm=70.0)}, "rules.min_feature_nm"),
+        ({"mask": replace(design.mask, bias_nm=3.75)}, "multiple of 0.5 nm"),
+        ({"mask": replace(design.mask, copies=(Copy(at_um=(0.0, 0.0), bias_nm=2.0),))}, "mask.copies"),
+        ({"rules": replace(design.rules, cd_sigma_nm=3.0)}, "rules.cd_sigma_nm"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            replace(design, **change)
+
+
 def test_a_turned_cross_is_the_same_cross(tiny_design: Design, smooth_library: Library, profile: PhaseProfile) -> None:
     cell = replace(tiny_design.unit_cell, cell=replace(tiny_design.unit_cell.cell, shape="cross"))
     design = replace(tiny_design, unit_cell=cell, device=replace(tiny_design.device, aperture_um=8.0))

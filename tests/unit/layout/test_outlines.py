@@ -68,6 +68,33 @@ def test_an_outline_is_known_however_it_is_drawn(
     assert outline.size_of(moved) is None
 
 
+@pytest.mark.parametrize("ring", [Outline("ring", 0.5, wall_dbu=90), Outline("ring", 0.5, hole_dbu=150)])
+@settings(max_examples=40)
+@given(width=st.integers(150, 350).map(lambda half: 2 * half), turns=st.integers(0, 3), start=st.integers(0, 40))
+def test_a_ring_is_one_polygon_of_a_circle_less_its_hole(ring: Outline, width: int, turns: int, start: int) -> None:
+    hole = width - 180 if ring.wall_dbu else 150
+    circle, vertices = Outline("ellipse", 0.5), ring.vertices(width, width)
+    area = polygon_area(circle.vertices(width, width)) - polygon_area(circle.vertices(hole, hole))
+    assert polygon_area(vertices) == area == ring.area(np.array([[width, width]], dtype=np.int32))[0]
+    assert Polygon(vertices).buffer(0).area == pytest.approx(area)
+    walls, holes = ring.walls_and_holes(np.array([[width, width]], dtype=np.int32))
+    assert holes.tolist() == [hole]
+    assert walls.tolist() == [[(width - hole) // 2] * 2]
+    drawn = np.roll(vertices, start, axis=0) + np.array([12_345, -678])
+    for _ in range(turns):
+        drawn = np.stack([-drawn[:, 1], drawn[:, 0]], axis=1)
+    assert ring.size_of(np.concatenate([drawn[:1], drawn])) == (width, width)
+    assert ring.size_of(drawn[::-1] * [1, -1]) == (width, width)
+    # A circle is no ring, and a ring of another hole is none of ours.
+    assert ring.size_of(circle.vertices(width, width)) is None
+    assert circle.size_of(drawn) is None
+    other = Outline("ring", 0.5, hole_dbu=hole + 2).vertices(width, width)
+    assert ring.size_of(other) is None
+    moved = drawn.copy()
+    moved[np.argmax(moved[:, 0] + moved[:, 1])] -= 7
+    assert ring.size_of(moved) is None
+
+
 def test_outlines_of_other_shapes_are_not_known() -> None:
     circle, cross = Outline("ellipse", 0.5), Outline("cross", 0.5)
     square = np.array([[0, 0], [300, 0], [300, 300], [0, 300]])

@@ -17,9 +17,10 @@ ELLIPSE = PillarCell((340.0, 300.0), 110.0, 200.0, 800.0, 2.461, (1.461, 1.461),
 HEXAGONAL = replace(ELLIPSE, period_nm=(340.0, 294.0), width_nm=200.0, is_staggered=True)
 ROUNDED = replace(ELLIPSE, shape="rectangle", corner_radius_nm=25.0)
 STADIUM = replace(ROUNDED, corner_radius_nm=55.0)
+RING = replace(ELLIPSE, shape="ring", width_nm=220.0, length_nm=220.0, hole_nm=90.0)
 
 
-@pytest.mark.parametrize("cell", [ELLIPSE, HEXAGONAL, ROUNDED, STADIUM, replace(ELLIPSE, width_nm=332.0)])
+@pytest.mark.parametrize("cell", [ELLIPSE, HEXAGONAL, ROUNDED, STADIUM, RING, replace(ELLIPSE, width_nm=332.0)])
 def test_elements_have_the_areas_of_pillar_and_cell(cell: PillarCell) -> None:
     node, weight = np.polynomial.legendre.leggauss(24)
     areas = {True: 0.0, False: 0.0}
@@ -28,8 +29,9 @@ def test_elements_have_the_areas_of_pillar_and_cell(cell: PillarCell) -> None:
         assert place.area.min() > 0.0
         areas[quad.inside] += float(weight @ place.area @ weight)
     cut_off = (4.0 - math.pi) * cell.corner_radius_nm**2
-    pillar = 0.25 * math.pi if cell.shape == "ellipse" else 1.0
-    assert 4.0 * areas[True] == pytest.approx(pillar * cell.width_nm * cell.length_nm - cut_off, rel=1e-9)
+    pillar = 1.0 if cell.shape == "rectangle" else 0.25 * math.pi
+    expected = pillar * (cell.width_nm * cell.length_nm - cell.hole_nm**2) - cut_off
+    assert 4.0 * areas[True] == pytest.approx(expected, rel=1e-9)
     whole = cell.period_nm[0] * cell.period_nm[1]
     assert 4.0 * sum(areas.values()) == pytest.approx(whole, rel=1e-9)
 
@@ -50,6 +52,8 @@ def test_slopes_of_the_map_are_its_derivatives() -> None:
         (ELLIPSE, True),
         (HEXAGONAL, True),
         (STADIUM, True),
+        (RING, True),
+        (replace(RING, sidewall_angle_deg=88.0), False),
         (replace(ELLIPSE, over=(Slice(30.0, 1.46, 1.0),), under=(Slice(20.0, 2.0, 2.0),)), True),
         (replace(ELLIPSE, over=(Slice(30.0, 1.46, 1.0, width_nm=60.0),)), False),
         (replace(ELLIPSE, corner_radius_nm=0.0, shape="rectangle"), False),
@@ -85,6 +89,10 @@ def test_the_solver_says_which_way_it_went() -> None:
         (replace(HEXAGONAL, n_pillar=0.2 + 4.0j), CellNumerics(), ["n_pillar"]),
         (replace(HEXAGONAL, n_pillar=0.2 + 4.0j, angle_deg=5.0), CellNumerics(), ["angle_deg", "n_pillar"]),
         (HEXAGONAL, CellNumerics(formulation="fourier"), ["formulation"]),
+        (RING, CellNumerics(formulation="fourier"), ["formulation"]),
+        (replace(RING, angle_deg=5.0), CellNumerics(), ["angle_deg"]),
+        (replace(RING, hole_nm=220.0), CellNumerics(), ["width_nm, length_nm"]),
+        (replace(ELLIPSE, hole_nm=50.0), CellNumerics(), ["hole_nm"]),
         (replace(HEXAGONAL, shape="rectangle", corner_radius_nm=20.0), CellNumerics(), ["shape"]),
     ],
 )
