@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.blas import zherk
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.library.neighbours.line import LineModel, LineShape
@@ -83,7 +84,7 @@ def fit(
         normal[np.diag_indices(vector.size)] += ridge
         scale = np.diag(normal).real.copy()
         while damping < 1e8:
-            damped = normal.copy()
+            damped = normal.copy(order="K")
             damped[np.diag_indices(vector.size)] += damping * scale
             trial = vector - cho_solve(cho_factor(damped, overwrite_a=True), gradient)
             trial_loss = _loss(model.with_vector(trial), sets, terms, ridge, limits.reflected)
@@ -135,18 +136,24 @@ def _loss(
 def _normal_equations(
     model: LineModel, sets: Sequence[RowSet], terms: Sequence[FloatArray], reflected: float
 ) -> tuple[ComplexArray, ComplexArray]:
-    """J^H J, shape (n, n), and J^H r, shape (n,), of the weighted residuals r of all rows."""
+    """J^H J, shape (n, n), and J^H r, shape (n,), of the weighted residuals r of all rows.
+
+    Only the upper triangle of J^H J is filled.
+    """
     n = model.vector.size
-    normal, gradient = np.zeros((n, n), dtype=np.complex128), np.zeros(n, dtype=np.complex128)
+    conjugate = np.zeros((n, n), dtype=np.complex128, order="F")
+    gradient = np.zeros(n, dtype=np.complex128)
+    # Reflected light without weight needs no derivatives.
+    faces = (0, 1) if reflected > 0.0 else (1,)
     for rows, values in zip(sets, terms, strict=True):
-        weights = _weights(rows, reflected)
+        weights = _weights(rows, reflected)[list(faces)]
         to_orders = rows.to_orders * weights[..., None]
         for start in range(0, len(values), _ROWS_AT_ONCE):
             part = slice(start, start + _ROWS_AT_ONCE)
-            correction, jacobian = corrections_and_jacobian(model, values[part])
+            correction, jacobian = corrections_and_jacobian(model, values[part], faces)
             jacobian = (to_orders[:, None] @ jacobian).reshape(-1, n)
-            off = (rows.local[:, part] + correction) @ rows.to_orders.T - rows.amplitude[:, part]
-            adjoint = jacobian.conj().T
-            normal += adjoint @ jacobian
-            gradient += adjoint @ (off * weights[:, None]).ravel()
-    return normal, gradient
+            local, solved = (both[list(faces), part] for both in (rows.local, rows.amplitude))
+            off = (local + correction) @ rows.to_orders.T - solved
+            conjugate = zherk(1.0, jacobian.T, beta=1.0, c=conjugate, overwrite_c=True)
+            gradient += (off * weights[:, None]).ravel() @ jacobian.conj()
+    return conjugate.conj(), gradient

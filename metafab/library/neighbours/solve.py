@@ -55,10 +55,13 @@ def scattered_corrections(model: LineModel, terms: FloatArray) -> ComplexArray:
     return np.asarray(np.stack(fields) - np.sum(taps * amplitude, axis=-1))
 
 
-def corrections_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+def corrections_and_jacobian(
+    model: LineModel, terms: FloatArray, faces: tuple[int, ...] = (0, 1)
+) -> tuple[ComplexArray, ComplexArray]:
     """:func:`scattered_corrections` and their derivatives by :attr:`LineModel.vector`, of n parameters.
 
-    ``terms``: shape (lines, sites, terms). Shapes (2, lines, sites) and (2, lines, sites, n).
+    ``terms``: shape (lines, sites, terms). ``faces``: 0 for reflected and 1 for transmitted light. Shapes
+    (faces, lines, sites) and (faces, lines, sites, n).
     """
     lines, count, _ = terms.shape
     modes, even, parity = model.shape.modes, model.shape.even, model.shape.parity
@@ -71,7 +74,8 @@ def corrections_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[Compl
     flow = terms[..., :, None] * a[..., None, :]
     by_own, by_side = flow[..., :even], flow[:, before] + flow[:, after] * parity
     fields, jacobians = [], []
-    for face, (own, of_side) in enumerate(_faces(model)):
+    for face in faces:
+        own, of_side = _faces(model)[face]
         taps = np.zeros((lines, count, count, modes), dtype=np.complex128)
         taps[:, site, site, :even] += terms @ own
         side = terms @ of_side
@@ -83,7 +87,7 @@ def corrections_and_jacobian(model: LineModel, terms: FloatArray) -> tuple[Compl
         by_source = np.asarray(adjoint[..., :even].transpose(0, 1, 3, 2) @ terms[:, None], dtype=np.complex128)
         ends = _site_derivatives(model, terms, a, adjoint), _hop_derivatives(model, a, adjoint)
         jacobians.append(_gathered(face, ends, by_own, by_side, by_source.swapaxes(-1, -2)))
-    uniform, d_uniform = _uniform_jacobian(model, terms)
+    uniform, d_uniform = _uniform_jacobian(model, terms, faces)
     return np.stack(fields) - uniform, np.stack(jacobians) - d_uniform
 
 
@@ -116,7 +120,7 @@ def _gathered(
     return np.concatenate([part.reshape(*by_own.shape[:2], -1) for part in parts], axis=-1)
 
 
-def _uniform_jacobian(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+def _uniform_jacobian(model: LineModel, terms: FloatArray, faces: tuple[int, ...]) -> tuple[ComplexArray, ComplexArray]:
     """Light of lines of equal pillars, reflected and transmitted, and its derivatives by :attr:`LineModel.vector`.
 
     Arguments and shapes as :func:`corrections_and_jacobian`.
@@ -137,12 +141,12 @@ def _uniform_jacobian(model: LineModel, terms: FloatArray) -> tuple[ComplexArray
     by_side = np.zeros((*terms.shape, shape.modes), dtype=np.complex128)
     by_side[..., :even] = 2.0 * by_own
     jacobians = []
-    for face in range(2):
+    for face in faces:
         adjoint = np.einsum("...r,...rs->...s", taps[face], inverse)
         d_site = -terms[..., :, None] * pairs(adjoint, *shape.pairs)[..., None, :]
         ends = d_site, 2.0 * pairs(adjoint, *shape.hop_pairs[:2])
         jacobians.append(_gathered(face, ends, by_own, by_side, terms[..., :, None] * adjoint[..., None, :]))
-    return np.sum(taps * amplitude, axis=-1), np.stack(jacobians)
+    return np.sum(taps[list(faces)] * amplitude, axis=-1), np.stack(jacobians)
 
 
 def _uniform_amplitude(model: LineModel, terms: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
