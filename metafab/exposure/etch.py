@@ -82,7 +82,7 @@ def local_density(pillars: PillarMap, sizes_nm: Callable[[slice], Float32Array],
     InputError for a range below 12 periods.
     """
     lattice, index = pillars.lattice, pillars.to_array()
-    least_nm = LONG_PERIODS * min(lattice.period_nm)
+    least_nm = LONG_PERIODS * lattice.spacing_nm
     if etch.microloading_range_um * 1e3 < least_nm:
         expected = f"at least {LONG_PERIODS:g} periods, {least_nm * 1e-3:g} um"
         raise InputError.single("process.etch", "microloading_range_um", expected, f"{etch.microloading_range_um:g} um")

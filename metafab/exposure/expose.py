@@ -24,12 +24,12 @@ from metafab.exposure.prediction import (
     WindowPoint,
     dose_to_size,
     predict,
-    process_window,
 )
 from metafab.exposure.printing import EdgeTables, corner_radius_nm
 from metafab.exposure.shape import corrected_shapes, printing_of
 from metafab.exposure.sums import newton_doses
 from metafab.layout import PillarMap
+from metafab.layout.outlines import RECTANGLE, Outline
 
 #: Pillars whose energies are compared with a direct sum for the stated error, and pillars whose corners are predicted.
 _CHECKED, _CORNERS = 6, 200
@@ -124,6 +124,7 @@ def expose(
     pillars: PillarMap,
     psf: BeamPsf,
     *,
+    outline: Outline = RECTANGLE,
     base_over_clearing_dose: float | None = None,
     lens_dose: float = 1.0,
     correction: Correction = "none",
@@ -133,8 +134,9 @@ def expose(
     """Expose a mask and predict the printed sizes.
 
     Args:
-        pillars: drawn rectangles on a rectangular lattice.
+        pillars: drawn pillars, upright.
         psf: point-spread function of the beam.
+        outline: outline of the drawn pillars, any but a cross.
         base_over_clearing_dose: base dose over the clearing dose of a large pad; None for the dose at which printed
             sizes equal drawn ones in the mean without correction ("dose to size").
         lens_dose: dose of the whole lens relative to the base dose, on top of that of each pillar.
@@ -143,10 +145,10 @@ def expose(
         numerics: classes and samples.
 
     Raises:
-        InputError: a hexagonal lattice, no pillar, or a pattern that cannot be printed.
+        InputError: no pillar, or a pattern that cannot be printed.
     """
-    resist = _resist_of(pillars, psf)
-    tables = EdgeTables.of(psf, resist.size_nm)
+    resist = _resist_of(pillars, psf, outline)
+    tables = EdgeTables.of(psf, resist.shapes)
     dose = np.ones(resist.size_index.shape, dtype=np.float32)
     drawn, rounds, dose_class, class_dose = pillars, 0, None, np.ones(1)
     with work.threads() as executor:
@@ -160,13 +162,12 @@ def expose(
                 dose_class, class_dose = _quantised(resist, dose, numerics.classes)
                 dose = class_dose.astype(np.float32)[dose_class]
         elif correction == "shape":
-            drawn, rounds = corrected_shapes(pillars, psf, ratio, executor, work.progress)
-            process = printing_of(drawn, pillars, psf, ratio, executor)
+            drawn, rounds = corrected_shapes(pillars, psf, outline, ratio, executor, work.progress)
+            process = printing_of(drawn, pillars, psf, outline, ratio, executor)
         if lens_dose != 1.0:
             dose *= np.float32(lens_dose)
         places = _random_pillars(resist.size_index, max(numerics.samples, _CORNERS), numerics.seed)
-        found = predict(process, dose, places, keep_sizes=numerics.keep_sizes)
-        window = process_window(process, dose, _WINDOW_PERCENT)
+        found = predict(process, dose, places, window_percent=_WINDOW_PERCENT, keep_sizes=numerics.keep_sizes)
     checked, listed, sums = places[:_CHECKED].tolist(), found.listed, found.sums
     largest = max(float(np.abs(listed[r, c][:3] - ratio * process.resist.direct(dose, r, c)).max()) for r, c in checked)
     samples = _samples(process, drawn, dose, [((row, column), listed[row, column]) for row, column in places.tolist()])
@@ -199,21 +200,21 @@ def expose(
         cd_histogram=found.histogram,
         cd_edges_nm=bins_nm,
         size_map=found.size_map,
-        window=window,
+        window=found.window,
         printed_less_drawn_nm=found.printed_less_drawn_nm,
     )
 
 
-def base_dose_to_size(pillars: PillarMap, psf: BeamPsf, work: Work = Work()) -> float:
+def base_dose_to_size(pillars: PillarMap, psf: BeamPsf, outline: Outline, work: Work = Work()) -> float:
     """Return the base over clearing dose at which printed sizes equal drawn ones in the mean; errors as ``expose``."""
-    resist = _resist_of(pillars, psf)
+    resist = _resist_of(pillars, psf, outline)
     dose = np.ones(resist.size_index.shape, dtype=np.float32)
     with work.threads() as executor:
-        return dose_to_size(resist, EdgeTables.of(psf, resist.size_nm), dose, executor)
+        return dose_to_size(resist, EdgeTables.of(psf, resist.shapes), dose, executor)
 
 
-def _resist_of(pillars: PillarMap, psf: BeamPsf) -> ResistEnergy:
-    resist = ResistEnergy(pillars, psf)
+def _resist_of(pillars: PillarMap, psf: BeamPsf, outline: Outline) -> ResistEnergy:
+    resist = ResistEnergy(pillars, psf, outline)
     if not resist.tiles:
         raise InputError.single("exposure", "pillars", "at least one pillar", "none")
     return resist
@@ -289,12 +290,15 @@ def _samples(
     x_um, y_um = drawn.lattice.x_um(), drawn.lattice.y_um()
     rows, columns = np.array([place for place, _ in listed]).T
     values = np.array([row for _, row in listed])
-    size, doses = process.resist.size_nm[process.resist.size_index[rows, columns]], dose[rows, columns].astype(float)
+    shapes, doses = (
+        process.resist.shapes.some(process.resist.size_index[rows, columns]),
+        dose[rows, columns].astype(float),
+    )
     ratio, moved = process.base_over_clearing_dose, 0.5 * values[:, 3:]
     own = process.tables.at_edge[:, process.resist.size_index[rows, columns]].T * doses[:, None]
     others = (values[:, 1:3] / ratio - own).mean(axis=1)
     with np.errstate(invalid="ignore"):
-        radius = corner_radius_nm(process.resist.psf, size, doses, others, moved, 1.0 / ratio)
-    printed = np.maximum(0.0, size + values[:, 3:])
-    columns_ = (x_um[columns], y_um[rows], *size.T, doses, *values[:, :3].T, *printed.T, radius)
+        radius = corner_radius_nm(process.resist.psf, shapes, doses, others, moved, 1.0 / ratio)
+    printed = np.maximum(0.0, shapes.size_nm + values[:, 3:])
+    columns_ = (x_um[columns], y_um[rows], *shapes.size_nm.T, doses, *values[:, :3].T, *printed.T, radius)
     return tuple(SampledPillar(*row) for row in np.stack(columns_, axis=1).tolist())

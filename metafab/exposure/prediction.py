@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,9 @@ from metafab.exposure.energy.resist import TILE_SITES, ResistEnergy, TileEnergy
 from metafab.exposure.printing import EdgeTables, add_edge_displacements
 from metafab.exposure.sums import dose_to_size_sums, size_statistics
 
-#: Tiles from which the dose to size and the process window are found.
-_SAMPLED_TILES = 16
+#: Tiles from which the dose to size and the process window are found, and rows of these from one to the next of the
+#: window.
+_SAMPLED_TILES, _WINDOW_ROWS = 16, 4
 #: Bins of the histogram of size errors, and their width (nm).
 BINS, BIN_NM = 1200, 0.05
 #: Least number of blocks along the lens in a map of size errors.
@@ -99,7 +100,7 @@ class SizeMap:
 
 @dataclass(frozen=True)
 class WindowPoint:
-    """Size errors of a sample of tiles at a changed dose."""
+    """Size errors of a sample of pillars at a changed dose."""
 
     dose_change_percent: float  #: Change of all doses.
     bias_nm: float  #: Mean of printed less wanted sizes.
@@ -117,6 +118,7 @@ class Prediction:
     #: printed less drawn width and length.
     listed: dict[tuple[int, int], FloatArray]
     size_map: SizeMap  #: Mean size errors over the lens.
+    window: tuple[WindowPoint, ...]  #: Errors of a sample of pillars at each of ``window_percent``.
     #: Shape (2, n_y, n_x), of width and length; -inf where a pillar does not print. None unless asked for.
     printed_less_drawn_nm: Float32Array | None
 
@@ -136,17 +138,24 @@ def dose_to_size(resist: ResistEnergy, tables: EdgeTables, dose: Float32Array, e
 
 
 def predict(
-    process: Printing, dose: Float32Array, places: NDArray[np.int64], *, keep_sizes: bool = False
+    process: Printing,
+    dose: Float32Array,
+    places: NDArray[np.int64],
+    *,
+    window_percent: Sequence[float] = (),
+    keep_sizes: bool = False,
 ) -> Prediction:
     """Predict the printed sizes for a dose, shape (n_y, n_x).
 
-    ``places``, shape (n, 2), are rows and columns of listed pillars; ``keep_sizes`` keeps the sizes of all.
+    ``places``, shape (n, 2), are rows and columns of listed pillars; ``window_percent`` are changes of all doses for
+    the process window; ``keep_sizes`` keeps the sizes of all.
     """
     tables, ratio, resist = process.tables, process.base_over_clearing_dose, process.resist
     shape = resist.size_index.shape
     side = min(TILE_SITES, 1 << max(0, (max(shape) // _MAP_BLOCKS).bit_length() - 1))
     bias_nm = np.full((-(-shape[0] // side), -(-shape[1] // side)), np.nan, dtype=np.float32)
     kept = np.zeros((2, *shape), dtype=np.float32) if keep_sizes else None
+    sampled, no_window = _sampled_tiles(resist), np.empty((0, 8))
 
     def printed(tile: TileEnergy) -> FloatArray:
         moved = process.edges(tile, ratio)
@@ -161,37 +170,42 @@ def predict(
         y, x = (inside(places, tile.rows, tile.columns) - (tile.rows.start, tile.columns.start)).T
         at_edges = tables.at_edge[:, tile.size_index[y, x]] * tile.dose[y, x] + tile.others[:, y, x]
         rows = np.concatenate([ratio * tile.centre[None, y, x], ratio * at_edges, 2.0 * moved[:, y, x]])
-        return np.concatenate([sums, counts, rows.T.ravel()])
+        is_sampled = (tile.rows, tile.columns) in sampled
+        window = _changed(process, tile, window_percent) if is_sampled else no_window
+        return np.concatenate([sums, counts, rows.T.ravel(), window.ravel()])
 
-    parts, counts = [], np.zeros(BINS, dtype=np.int64)
+    parts, windows, counts = [], [], np.zeros(BINS, dtype=np.int64)
     listed: dict[tuple[int, int], FloatArray] = {}
     for block, result in resist.map_tiles(dose, process.executor, printed):
-        statistics, bins, rows = np.split(result, [8, 8 + BINS])
+        here = inside(places, *block)
+        statistics, bins, rows, window = np.split(result, np.cumsum([8, BINS, 5 * len(here)]))
         parts.append(statistics)
         counts += bins.astype(np.int64)
-        listed.update(zip(map(tuple, inside(places, *block).tolist()), rows.reshape(-1, 5), strict=True))
+        listed.update(zip(map(tuple, here.tolist()), rows.reshape(-1, 5), strict=True))
+        if window.size:
+            windows.append(window.reshape(-1, 8))
     block_um = (side * resist.period_nm[0] * 1e-3, side * resist.period_nm[1] * 1e-3)
-    return Prediction(SizeSums.of(np.array(parts)), counts, listed, SizeMap(bias_nm, block_um), kept)
+    window_points = _window(np.array(windows), window_percent) if window_percent else ()
+    return Prediction(SizeSums.of(np.array(parts)), counts, listed, SizeMap(bias_nm, block_um), window_points, kept)
 
 
-def process_window(
-    process: Printing, dose: Float32Array, dose_change_percent: Sequence[float]
-) -> tuple[WindowPoint, ...]:
-    """Predict the size errors of a sample of tiles at changes (%) of all doses, shape (n_y, n_x)."""
+def _changed(process: Printing, tile: TileEnergy, dose_change_percent: Sequence[float]) -> FloatArray:
+    """Sums over some rows of a tile at changes of all doses: shape (n, 8)."""
+    step = _WINDOW_ROWS if len(process.resist.tiles) > 1 else 1
+    size_index, dose = np.ascontiguousarray(tile.size_index[::step]), np.ascontiguousarray(tile.dose[::step])
+    others = np.ascontiguousarray(tile.others[:, ::step])
+    rows = slice(tile.rows.start, tile.rows.stop, step)
+    part = replace(tile, rows=rows, size_index=size_index, dose=dose, others=others)
+    sums = np.zeros((len(dose_change_percent), 8))
+    for row, percent in zip(sums, dose_change_percent, strict=True):
+        ratio = process.base_over_clearing_dose * (1.0 + 0.01 * percent)
+        errors, counts = process.errors(part, process.edges(part, ratio)), np.zeros(2, np.int64)
+        row[:] = size_statistics(size_index, dose, process.tables.slope_per_nm, errors, ratio, BIN_NM, counts)
+    return sums
 
-    def changed(tile: TileEnergy) -> FloatArray:
-        rows = []
-        for percent in dose_change_percent:
-            ratio = process.base_over_clearing_dose * (1.0 + 0.01 * percent)
-            errors = process.errors(tile, process.edges(tile, ratio))
-            slope = process.tables.slope_per_nm
-            rows.append(
-                size_statistics(tile.size_index, tile.dose, slope, errors, ratio, BIN_NM, np.zeros(2, np.int64))
-            )
-        return np.array(rows)
 
-    sampled = process.resist.map_tiles(dose, process.executor, changed, _sampled_tiles(process.resist))
-    parts = np.array([found for _, found in sampled])
+def _window(parts: FloatArray, dose_change_percent: Sequence[float]) -> tuple[WindowPoint, ...]:
+    """Errors at each change of the doses from sums of tiles, shape (n_tiles, n, 8)."""
     points = []
     for percent, row in zip(dose_change_percent, np.swapaxes(parts, 0, 1), strict=True):
         sums = SizeSums.of(row)

@@ -4,8 +4,9 @@ Along the axis of a pillar through its edge, displaced outwards by s, the pillar
 
     S(s) = sum over Gaussians, weight / 2 [erf((w + s) / beta) - erf(s / beta)] erf(l / (2 beta)),
 
-which falls steeply, while the energy of all other pillars changes little over a few nanometres. The printed edge lies
-at the s that solves dose S(s) = clearing energy - energy of the others, by a table of S for each size.
+which falls steeply, while the energy of all other pillars changes little over a few nanometres. Other outlines add up
+rectangles (:mod:`metafab.exposure.energy.shapes`). The printed edge lies at the s that solves dose S(s) = clearing
+energy - energy of the others, by a table of S for each size.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from scipy.special import erf
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.exposure.electrons.beam import BeamPsf
+from metafab.exposure.energy.shapes import Shapes
 
 #: Displacements of the table: number of nodes, displacement up to which their steps are even (nm), and reach (nm).
 _NODES, _EVEN_NM, _REACH_NM = 161, 0.05, 120.0
@@ -36,50 +38,61 @@ class EdgeTables:
     slope_per_nm: Float32Array  #: Shape (2, n_sizes), decrease of energy per nm at the drawn edges, positive.
 
     @classmethod
-    def of(cls, psf: BeamPsf, size_nm: FloatArray) -> EdgeTables:
-        """Tabulate pillars of ``size_nm``, shape (n_sizes, 2)."""
+    def of(cls, psf: BeamPsf, shapes: Shapes) -> EdgeTables:
+        """Tabulate pillars of some shapes."""
         reach = np.arcsinh(_REACH_NM / _EVEN_NM)
         turn = np.linspace(-reach, reach, _NODES)
         displacement = _REACH_NM * np.sinh(turn) / np.sinh(reach)
         displacement[_NODES // 2] = 0.0
-        energy = np.zeros((2, len(size_nm), _NODES))
-        slope = np.zeros((2, len(size_nm)))
-        for axis in (0, 1):
-            along, across = size_nm[:, axis, None], size_nm[:, 1 - axis]
+        energy = np.zeros((2, len(shapes.size_nm), _NODES))
+        slope = np.zeros((2, len(shapes.size_nm)))
+        for axis, along in enumerate((shapes, shapes.turned())):
+            edge = 0.5 * along.size_nm[:, 0]
+            # Beyond the pillar's middle the energy falls again: the table stays monotone up to there.
+            place = edge[:, None] + np.maximum(displacement, -edge[:, None])
             for weight, beta in zip(psf.weight, psf.range_nm, strict=True):
-                middle = weight * erf(across / (2.0 * beta))
-                # Beyond the pillar's middle the energy falls again: the table stays monotone up to there.
-                s = np.maximum(displacement, -0.5 * along)
-                energy[axis] += 0.5 * (erf((along + s) / beta) - erf(s / beta)) * middle[:, None]
-                peak = 1.0 - np.exp(-((along[:, 0] / beta) ** 2))
-                slope[axis] += middle * peak / (np.sqrt(np.pi) * beta)
+                for part in along.parts(beta, on_axis=True):
+                    middle, half = weight * part.along_y(0.0, beta), part.half_width_nm
+                    energy[axis] += (
+                        0.5
+                        * middle[:, None]
+                        * (erf((place + half[:, None]) / beta) - erf((place - half[:, None]) / beta))
+                    )
+                    drop = np.exp(-(((edge - half) / beta) ** 2)) - np.exp(-(((edge + half) / beta) ** 2))
+                    slope[axis] += middle * drop / (np.sqrt(np.pi) * beta)
         parts = (displacement, energy, energy[:, :, _NODES // 2], slope)
         return cls(*(np.ascontiguousarray(part, dtype=np.float32) for part in parts))
 
 
 def corner_radius_nm(
-    psf: BeamPsf, size_nm: FloatArray, dose: FloatArray, others: FloatArray, moved_nm: FloatArray, clearing: float
+    psf: BeamPsf, shapes: Shapes, dose: FloatArray, others: FloatArray, moved_nm: FloatArray, clearing: float
 ) -> FloatArray:
-    """Return the radii of printed corners, shape (n,), NaN where a pillar does not print.
+    """Return the radii of printed corners, shape (n,), NaN where a pillar does not print or has no corners.
 
     They follow from the place where the printed outline crosses the corner's diagonal: a quarter of a circle of radius
     r that touches both edges leaves r (1 - 1 / sqrt(2)) along each axis.
 
     Args:
-        size_nm: shape (n, 2), drawn width and length.
+        shapes: drawn shape of each pillar.
         dose: shape (n,).
         others: shape (n,), energy of all other pillars at the corners.
         moved_nm: shape (n, 2), displacement of the printed edges outwards.
         clearing: energy above which the resist stays.
     """
+    if not shapes.has_corners:
+        return np.full(len(dose), np.nan)
+    size_nm = shapes.size_nm
+    parts = [(beta, weight, list(shapes.parts(beta))) for weight, beta in zip(psf.weight, psf.range_nm, strict=True)]
     # The outline crosses the diagonal from the printed sharp corner (outside) to half the smaller side (inside).
     outer, inner = -moved_nm.mean(axis=1), 0.5 * size_nm.min(axis=1)
     for _ in range(40):
         inset = 0.5 * (outer + inner)
+        x_nm, y_nm = 0.5 * size_nm.T - inset
         own = np.zeros(len(size_nm))
-        for weight, beta in zip(psf.weight, psf.range_nm, strict=True):
-            along = erf((size_nm - inset[:, None]) / beta) + erf(inset[:, None] / beta)
-            own += 0.25 * weight * along[:, 0] * along[:, 1]
+        for beta, weight, rectangles in parts:
+            for part in rectangles:
+                along_x = erf((x_nm + part.half_width_nm) / beta) - erf((x_nm - part.half_width_nm) / beta)
+                own += 0.5 * weight * along_x * part.along_y(y_nm, beta)
         printed = dose * own + others > clearing
         outer, inner = np.where(printed, outer, inset), np.where(printed, inset, inner)
     gap = np.maximum(0.5 * (outer + inner) + moved_nm.mean(axis=1), 0.0)

@@ -16,6 +16,7 @@ from metafab.core.parallel.work import Work
 from metafab.core.storage.files import whole_file
 from metafab.exposure.electrons.process import exposure_process
 from metafab.exposure.fit import MeasuredLens, Parameter, ProcessFit, fit_process
+from metafab.layout.outlines import Outline
 from metafab.mask.measured import read_measured
 from metafab.spec import Design, UnitCell, canonical_toml
 from metafab.spec.keys.faults import faults_of
@@ -56,7 +57,9 @@ def fitted_process(
             do not determine the parameters.
     """
     classes = Fault("mask.dose", "one dose for all pillars", "dose classes", "fit a mask without them")
-    start = exposure_process(design, () if design.mask.dose is None else (classes,))
+    shape = Fault("cell.shape", "rectangles with sharp corners", Outline.of(design).shape, "not available with the fit")
+    refused = [(design.mask.dose is not None, classes), (not Outline.of(design).is_rectangle, shape)]
+    start = exposure_process(design, [fault for holds, fault in refused if holds])
     measured = read_measured(table, ("copy", "dose", "focus_um", *_CORNER))
     corner: dict[str, Any] = {
         name: round(float(np.mean(values)), 3) for name, values in measured.further.items() if name in _CORNER

@@ -17,6 +17,7 @@ from metafab.exposure.energy.resist import ResistEnergy
 from metafab.exposure.prediction import Printing, predict
 from metafab.exposure.printing import EdgeTables
 from metafab.layout import PillarMap
+from metafab.layout.outlines import Outline
 from metafab.layout.resized import bands, resized
 
 #: Largest number of rounds, and the share of sizes that change in the last one.
@@ -29,10 +30,15 @@ _NO_PLACES = np.empty((0, 2), dtype=np.int64)
 
 
 def printing_of(
-    drawn: PillarMap, wanted: PillarMap, psf: BeamPsf, base_over_clearing_dose: float, executor: Executor
+    drawn: PillarMap,
+    wanted: PillarMap,
+    psf: BeamPsf,
+    outline: Outline,
+    base_over_clearing_dose: float,
+    executor: Executor,
 ) -> Printing:
     """Return the process of drawn pillars that should print as other sizes at the sites of the same lattice."""
-    resist = ResistEnergy(drawn, psf)
+    resist = ResistEnergy(drawn, psf, outline)
     difference = np.zeros((2, *resist.size_index.shape), dtype=np.float32)
     wanted_nm, wanted_index = wanted.size_nm().astype(np.float32), wanted.to_array()
     drawn_nm = resist.size_nm.astype(np.float32)
@@ -40,11 +46,16 @@ def printing_of(
         for axis in (0, 1):
             old = drawn_nm[resist.size_index[rows], axis]
             difference[axis, rows] = wanted_nm[wanted_index[rows], axis] - old
-    return Printing(resist, EdgeTables.of(psf, resist.size_nm), base_over_clearing_dose, executor, difference)
+    return Printing(resist, EdgeTables.of(psf, resist.shapes), base_over_clearing_dose, executor, difference)
 
 
 def corrected_shapes(
-    wanted: PillarMap, psf: BeamPsf, base_over_clearing_dose: float, executor: Executor, progress: Progress
+    wanted: PillarMap,
+    psf: BeamPsf,
+    outline: Outline,
+    base_over_clearing_dose: float,
+    executor: Executor,
+    progress: Progress,
 ) -> tuple[PillarMap, int]:
     """Find the sizes to draw for the pillars that should be printed; return the pillars and the number of rounds.
 
@@ -53,7 +64,7 @@ def corrected_shapes(
     dose = np.ones(wanted.lattice.shape, dtype=np.float32)
     drawn = wanted
     for number in range(1, _MOST_ROUNDS + 1):
-        process = printing_of(drawn, wanted, psf, base_over_clearing_dose, executor)
+        process = printing_of(drawn, wanted, psf, outline, base_over_clearing_dose, executor)
         found = predict(process, dose, _NO_PLACES, keep_sizes=True).printed_less_drawn_nm
         assert process.wanted_less_drawn_nm is not None
         assert found is not None

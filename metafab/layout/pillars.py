@@ -72,6 +72,11 @@ class Lattice:
         return ((0, 2), (1, 1), (1, -1)) if self.hexagonal else ((0, 1), (1, 0), (1, 1), (1, -1))
 
     @property
+    def spacing_nm(self) -> float:
+        """Least distance between two pillars' centres."""
+        return min(math.hypot(right * self.period_nm[0], down * self.period_nm[1]) for down, right in self.pairs)
+
+    @property
     def reach(self) -> tuple[int, int]:
         """(rows, columns) to the farthest of the nearest neighbours."""
         return max(down for down, _ in self.pairs), max(right for _, right in self.pairs)

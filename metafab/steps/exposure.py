@@ -63,7 +63,9 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     made = made_pillars(exposed.drawn, exposed.exposure, etch)
     figures = exposed.exposure.figures
     library = open_library(job)
-    corner = {"corner_radius_nm": round(figures.corner_radius_nm, 3), **etch.corner}
+    corner = dict(etch.corner)
+    if job.design.unit_cell.cell.shape == "rectangle":
+        corner = {"corner_radius_nm": round(figures.corner_radius_nm, 3), **corner}
     with work.processes() as executor:
         field = optics.made_field(made.pillars, library, executor)
         corners = [("printed, one dose" if printed == "plain" else f"printed, corrected {correction}s", corner)]
@@ -93,27 +95,31 @@ def expose_mask(
     """
     from metafab import exposure, mask
     from metafab.exposure.expose import base_dose_to_size
+    from metafab.layout.outlines import Outline
 
     expected, remedy = "copies without a bias of their own", "correct each variant as a design of its own"
     biased = correct and any(copy.bias_nm for copy in design.mask.copies)
     further = [Fault("mask.copies", expected, "biased copies", remedy)] if biased else []
     process = exposure.exposure_process(design, further)
     lens = design.mask.copies[copy - 1] if 1 <= copy <= len(design.mask.copies) else None
-    in_focus = exposure.beam_psf(process)
+    in_focus, outline = exposure.beam_psf(process), Outline.of(design)
     psf = in_focus if lens is None else exposure.beam_psf(process, lens.focus_um)
     back = mask.read(path, design, progress=work.progress, copy=copy)
     back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
     ratio, plain = process.base_over_clearing_dose, None
     if ratio is None and psf.blur_nm != in_focus.blur_nm:  # All copies share the base dose, that of the best focus.
-        ratio = base_dose_to_size(back.pillars, in_focus, work)
+        ratio = base_dose_to_size(back.pillars, in_focus, outline, work)
     lens_dose = 1.0 if lens is None else lens.dose
     if correct and keep_plain:
-        before = exposure.expose(back.pillars, psf, base_over_clearing_dose=ratio, lens_dose=lens_dose, work=work)
+        before = exposure.expose(
+            back.pillars, psf, outline=outline, base_over_clearing_dose=ratio, lens_dose=lens_dose, work=work
+        )
         ratio, plain = before.figures.base_over_clearing_dose, exposure.SizeErrors.of(before)
         del before  # its doses are as large as the lens
     found = exposure.expose(
         back.pillars,
         psf,
+        outline=outline,
         base_over_clearing_dose=ratio,
         lens_dose=lens_dose,
         correction=process.correction if correct else "none",

@@ -1,12 +1,13 @@
 """Energy from beyond the nearest neighbours: by Fourier transforms, on tiles of sites and on a coarse grid.
 
-Middle ranges act between sites. A pillar's mass m = dose x width x length spreads over its rectangle, to second order
+Middle ranges act between sites. A pillar's mass m = dose x area spreads over its shape, to second order
 
     E(r) = sum over j, m_j [f + w_j^2 / 24 f_xx + l_j^2 / 24 f_yy](r - r_j),
 
-and the mean energy of its edges, at +-w/2 from the site, is E + w^2 / 8 E_xx. Kernels are sampled at sites without the
-3 x 3 block of :mod:`metafab.exposure.energy.near`, so that nothing is aliased. Long ranges act between blocks of sites,
-whose mass is spread over the block; the smooth result is interpolated.
+where w and l are the sides of the rectangle of its second moments. The mean energy of its edges, at +-w/2 from the
+site, is E + w^2 / 8 E_xx with the drawn width. Kernels are sampled at sites without the block of
+:mod:`metafab.exposure.energy.near`, so that nothing is aliased. Long ranges act between blocks of sites, whose mass is
+spread over the block; the smooth result is interpolated.
 """
 
 from __future__ import annotations
@@ -38,11 +39,16 @@ class MiddleRange:
     kernels: Float32Array  #: Shape (3, size, size // 2 + 1), transforms of f, f_xx and f_yy; real.
 
     @classmethod
-    def of(cls, psf: BeamPsf, period_nm: tuple[float, float], tile_sites: int) -> MiddleRange | None:
-        """Kernels for tiles of at most ``tile_sites`` sites a side; None without Gaussians."""
+    def of(
+        cls, psf: BeamPsf, period_nm: tuple[float, float], tile_sites: int, near: tuple[int, int]
+    ) -> MiddleRange | None:
+        """Kernels for tiles of at most ``tile_sites`` sites a side; None without Gaussians.
+
+        Sites within the reach ``near`` of (rows, columns) are left out.
+        """
         if psf.range_nm.size == 0:
             return None
-        margin = max(2, math.ceil(REACH * float(psf.range_nm.max()) / min(period_nm)))
+        margin = max(*near, math.ceil(REACH * float(psf.range_nm.max()) / min(period_nm)))
         size = int(scipy.fft.next_fast_len(tile_sites + 2 * margin, real=True))
         place = np.arange(-margin, margin + 1)
         x, y = place * period_nm[0], place[:, None] * period_nm[1]
@@ -54,31 +60,29 @@ class MiddleRange:
             second_y += gauss * (4.0 * y**2 / beta**4 - 2.0 / beta**2)
         transforms = []
         for kernel in (density, second_x, second_y):
-            kernel[margin - 1 : margin + 2, margin - 1 : margin + 2] = 0.0
+            kernel[tuple(slice(margin - reach, margin + reach + 1) for reach in near)] = 0.0
             padded = np.zeros((size, size))
             padded[: place.size, : place.size] = kernel
             transforms.append(scipy.fft.rfft2(np.roll(padded, (-margin, -margin), axis=(0, 1))).real)
         return cls(margin, size, np.asarray(transforms, dtype=np.float32))
 
-    def energy(self, mass: Float32Array, width_nm: Float32Array, length_nm: Float32Array) -> Float32Array:
+    def energy(
+        self, mass: Float32Array, spread_x: Float32Array, spread_y: Float32Array, edge: Float32Array
+    ) -> Float32Array:
         """Energy of a tile's pillars at the centre and at the x and the y edges (means): shape (3, n_y, n_x).
 
-        Mass (dose times area, nm^2; 0 where no pillar stands), width and length have the shape (n_y + 2 margin, n_x + 2
-        margin).
+        Mass (dose times area, nm^2; 0 where no pillar stands), and mass times w^2 / 24 and l^2 / 24, have the shape
+        (n_y + 2 margin, n_x + 2 margin); ``edge``, shape (2, n_y, n_x), is an eighth of the squared width and length.
         """
         shape, m = (self.size, self.size), self.margin
         n_y, n_x = mass.shape[0] - 2 * m, mass.shape[1] - 2 * m
-        plain = scipy.fft.rfft2(mass, shape)
-        wide = scipy.fft.rfft2(mass * width_nm**2 / np.float32(24.0), shape)
-        long = scipy.fft.rfft2(mass * length_nm**2 / np.float32(24.0), shape)
+        plain, wide, long = (scipy.fft.rfft2(values, shape) for values in (mass, spread_x, spread_y))
         f, f_xx, f_yy = self.kernels
         inner = (slice(m, m + n_y), slice(m, m + n_x))
         total = scipy.fft.irfft2(f * plain + f_xx * wide + f_yy * long, shape)[inner]
         curved_x = scipy.fft.irfft2(f_xx * plain, shape)[inner]
         curved_y = scipy.fft.irfft2(f_yy * plain, shape)[inner]
-        at_x = total + width_nm[inner] ** 2 / np.float32(8.0) * curved_x
-        at_y = total + length_nm[inner] ** 2 / np.float32(8.0) * curved_y
-        return np.stack([total, at_x, at_y])
+        return np.stack([total, total + edge[0] * curved_x, total + edge[1] * curved_y])
 
 
 @dataclass(frozen=True)

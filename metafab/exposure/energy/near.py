@@ -1,12 +1,12 @@
-"""Energy of the 3 x 3 nearest pillars, in closed form: tables over pairs of sizes, and the loop that adds them up.
+"""Energy of the nearest pillars, in closed form: tables over pairs of sizes, and the loop that adds them up.
 
 A Gaussian of range beta deposits on the point (x, y) from a rectangle of width w and length l at the origin
 
-    1/4 [erf((x + w/2) / beta) - erf((x - w/2) / beta)] [erf((y + l/2) / beta) - erf((y - l/2) / beta)].
+    1/4 [erf((x + w/2) / beta) - erf((x - w/2) / beta)] [erf((y + l/2) / beta) - erf((y - l/2) / beta)];
 
-Each pillar has three energies: at its centre, the mean over the middles of its two x edges, and the mean over the
-middles of its two y edges. They depend on the size of the source, the width or length of the target, and the offset
-between their sites, and are tabulated.
+other outlines are sums of rectangles (:mod:`metafab.exposure.energy.shapes`). Each pillar has three energies: at its
+centre, the mean over the middles of its two x edges, and the mean over the middles of its two y edges. They depend on
+the size of the source, the width or length of the target, and the offset between their sites, and are tabulated.
 """
 
 from __future__ import annotations
@@ -20,53 +20,71 @@ from scipy.special import erf
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.exposure.electrons.beam import BeamPsf
+from metafab.exposure.energy.shapes import Part, Shapes
+from metafab.layout import Lattice
+
+#: Gaussians that reach an edge after this many ranges are left out there: 1e-8 of their energy.
+_REACH = 4.0
 
 
 @dataclass(frozen=True)
 class NearTables:
-    """Energy per unit dose from one pillar of a 3 x 3 block; offsets (0, 0), (1, 0), (0, 1), (1, 1) in (x, y)."""
+    """Energy per unit dose from one pillar of a block of (2 down + 1) x (2 right + 1) sites.
 
-    centre: Float32Array  #: Shape (4, n_sizes), at the centre of the target.
-    edge_x: Float32Array  #: Shape (4, n_widths, n_sizes), mean over the two edges along x of a target of each width.
-    edge_y: Float32Array  #: Shape (4, n_lengths, n_sizes), mean over the two edges along y of a target of each length.
+    ``reach`` is (down, right). Offsets (a, b) in (x, y), of either sign, have the number a + (right + 1) b.
+    """
+
+    reach: tuple[int, int]  #: (rows, columns) from a site to the last ones of the block.
+    centre: Float32Array  #: Shape (n_offsets, n_sizes), at the centre of the target.
+    #: Shape (n_offsets, n_widths, n_sizes), mean over the two edges along x of a target of each width.
+    edge_x: Float32Array
+    #: Shape (n_offsets, n_lengths, n_sizes), mean over the two edges along y of a target of each length.
+    edge_y: Float32Array
     width_of: NDArray[np.int32]  #: Shape (n_sizes,), index of each size's width.
     length_of: NDArray[np.int32]  #: Shape (n_sizes,), index of each size's length.
 
 
-def near_tables(psf: BeamPsf, size_nm: FloatArray, period_nm: tuple[float, float]) -> NearTables:
-    """Tabulate the near field of each size (width, length), shape (n_sizes, 2); (0, 0) is no pillar."""
-    width, width_of = np.unique(size_nm[:, 0], return_inverse=True)
-    length, length_of = np.unique(size_nm[:, 1], return_inverse=True)
-    count = len(size_nm)
-    centre = np.zeros((4, count))
-    edge_x, edge_y = np.zeros((4, width.size, count)), np.zeros((4, length.size, count))
-    for weight, beta in zip(psf.weight, psf.range_nm, strict=True):
-        along_x = [_at(np.zeros(1), a * period_nm[0], width, beta)[0] for a in (0, 1)]
-        along_y = [_at(np.zeros(1), b * period_nm[1], length, beta)[0] for b in (0, 1)]
-        for pair in range(4):
-            a, b = pair % 2, pair // 2
-            x, y = along_x[a][width_of], along_y[b][length_of]
-            centre[pair] += weight * x * y
-            edge_x[pair] += weight * _at_edges(a * period_nm[0], width, beta)[:, width_of] * y
-            edge_y[pair] += weight * _at_edges(b * period_nm[1], length, beta)[:, length_of] * x
-    return NearTables(
-        centre.astype(np.float32),
-        edge_x.astype(np.float32),
-        edge_y.astype(np.float32),
-        width_of.astype(np.int32),
-        length_of.astype(np.int32),
-    )
+def near_tables(psf: BeamPsf, shapes: Shapes, lattice: Lattice, reach: tuple[int, int]) -> NearTables:
+    """Tabulate the near field of each size within a reach of (rows, columns)."""
+    down, right = reach
+    targets = [np.unique(side, return_inverse=True) for side in shapes.size_nm.T]
+    count, offsets = len(shapes.size_nm), (down + 1) * (right + 1)
+    centre = np.zeros((offsets, count))
+    edges = [np.zeros((offsets, side.size, count)) for side, _ in targets]
+    largest_nm = shapes.size_nm.max(axis=0)
+    for number in range(offsets):
+        steps = np.array([number % (right + 1), number // (right + 1)])
+        if lattice.hexagonal and steps.sum() % 2:
+            continue
+        offset_nm = steps * lattice.period_nm
+        for weight, beta in zip(psf.weight, psf.range_nm, strict=True):
+            if np.max(offset_nm - largest_nm) > _REACH * beta:
+                continue
+            for axis, along in enumerate((shapes, shapes.turned())):
+                here_nm, across_nm = (float(value) for value in offset_nm[[axis, 1 - axis]])
+                for part in along.parts(beta):
+                    at = weight * part.along_y(across_nm, beta)
+                    if axis == 0:
+                        centre[number] += at * _along_x(np.zeros(1), here_nm, part, beta)[0]
+                    if number:
+                        edges[axis][number] += at * _at_edges(targets[axis][0], here_nm, part, beta)
+    edge_x, edge_y = (table.astype(np.float32) for table in edges)
+    width_of, length_of = (index.astype(np.int32) for _, index in targets)
+    return NearTables(reach, centre.astype(np.float32), edge_x, edge_y, width_of, length_of)
 
 
-def _at(place: FloatArray, offset: float, size: FloatArray, beta: float) -> FloatArray:
-    """Profile along one axis at ``place`` (n,) of sources of ``size`` (m,) at ``offset``: shape (n, m)."""
-    distance = place[:, None] - offset
-    return np.asarray(0.5 * (erf((distance + 0.5 * size) / beta) - erf((distance - 0.5 * size) / beta)))
+def _along_x(place_nm: FloatArray, offset_nm: float, part: Part, beta: float) -> FloatArray:
+    """Profile along x at ``place_nm`` (n,) of rectangles at an offset: shape (n, n_sizes)."""
+    half_nm, size_of = np.unique(part.half_width_nm, return_inverse=True)
+    distance = place_nm[:, None] - offset_nm
+    profile = 0.5 * (erf((distance + half_nm) / beta) - erf((distance - half_nm) / beta))
+    return np.asarray(profile[:, size_of])
 
 
-def _at_edges(offset: float, size: FloatArray, beta: float) -> FloatArray:
-    """Mean of the profile over both edges of targets of each size: shape (n_targets, n_sources)."""
-    return 0.5 * (_at(0.5 * size, offset, size, beta) + _at(-0.5 * size, offset, size, beta))
+def _at_edges(size_nm: FloatArray, offset_nm: float, part: Part, beta: float) -> FloatArray:
+    """Mean of the profile over both edges of targets of each size: shape (n_targets, n_sizes)."""
+    before, behind = (_along_x(sign * size_nm, offset_nm, part, beta) for sign in (0.5, -0.5))
+    return 0.5 * (before + behind)
 
 
 @compiled
@@ -78,39 +96,42 @@ def add_near(
     edge_y: Float32Array,
     width_of: NDArray[np.int32],
     length_of: NDArray[np.int32],
+    reach: tuple[int, int],
     energy: Float32Array,
 ) -> None:
-    """Add the energy of the eight neighbours, and at the centre also of the pillar itself.
+    """Add the energy of the neighbours within reach, and at the centre also of the pillar itself.
 
     Args:
-        size_index: shape (n_y + 2, n_x + 2), the tile with a margin of one site.
-        dose: shape (n_y + 2, n_x + 2), relative to the base dose.
+        size_index: shape (n_y + 2 down, n_x + 2 right), the tile with a margin of the reach.
+        dose: of that shape, relative to the base dose.
         centre: as in :class:`NearTables`, like the next four.
         edge_x: mean over the edges along x.
         edge_y: mean over the edges along y.
         width_of: width of each size.
         length_of: length of each size.
+        reach: (down, right), rows and columns to the last neighbour.
         energy: shape (3, n_y, n_x), at the centre, the x edges and the y edges; added to in place.
     """
     n_y, n_x = energy.shape[1:]
+    reach_y, reach_x = reach
     for row in range(n_y):
         for column in range(n_x):
-            target = size_index[row + 1, column + 1]
+            target = size_index[row + reach_y, column + reach_x]
             if target == 0:
                 continue
             w, length = width_of[target], length_of[target]
-            at_centre = centre[0, target] * dose[row + 1, column + 1]
+            at_centre = centre[0, target] * dose[row + reach_y, column + reach_x]
             at_x = np.float32(0.0)
             at_y = np.float32(0.0)
-            for down in range(-1, 2):
-                for right in range(-1, 2):
+            for down in range(-reach_y, reach_y + 1):
+                for right in range(-reach_x, reach_x + 1):
                     if down == 0 and right == 0:
                         continue
-                    source = size_index[row + 1 + down, column + 1 + right]
+                    source = size_index[row + reach_y + down, column + reach_x + right]
                     if source == 0:
                         continue
-                    pair = abs(right) + 2 * abs(down)
-                    d = dose[row + 1 + down, column + 1 + right]
+                    pair = abs(right) + (reach_x + 1) * abs(down)
+                    d = dose[row + reach_y + down, column + reach_x + right]
                     at_centre += d * centre[pair, source]
                     at_x += d * edge_x[pair, w, source]
                     at_y += d * edge_y[pair, length, source]

@@ -6,26 +6,31 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import Float32Array, FloatArray
-from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import in_order, kept_threads, spread
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.far import LONG_PERIODS, LongRange, MiddleRange, block_masses
 from metafab.exposure.energy.near import add_near, near_tables
+from metafab.exposure.energy.shapes import Shapes
 from metafab.layout import PillarMap
+from metafab.layout.outlines import RECTANGLE, Outline
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 
 #: Sites a side of a tile.
 TILE_SITES = 512
-#: Shortest range that reaches beyond the nearest neighbours, in periods.
+#: Shortest range that reaches beyond the nearest neighbours, in distances of these.
 _MIDDLE_PERIODS = 0.3
+#: (rows, columns) of sites whose energy is summed in closed form: all within two distances of neighbours, of which the
+#: columns of a hexagonal lattice are half.
+_NEAR, _NEAR_HEXAGONAL = (1, 1), (2, 3)
 
 
 @dataclass(frozen=True)
@@ -41,23 +46,24 @@ class TileEnergy:
 
 
 class ResistEnergy:
-    """Energy in the resist at every pillar of a pattern, for any doses; InputError for a hexagonal lattice."""
+    """Energy in the resist at every pillar of a pattern, for any doses; the outline is no cross."""
 
-    def __init__(self, pillars: PillarMap, psf: BeamPsf) -> None:
+    def __init__(self, pillars: PillarMap, psf: BeamPsf, outline: Outline = RECTANGLE) -> None:
         lattice = pillars.lattice
-        if lattice.hexagonal:
-            raise InputError.single("exposure", "lattice", "a rectangular lattice", "hexagonal", "not available so far")
         self.psf = psf
-        self.size_nm = pillars.size_nm()
+        self.shapes = Shapes.of(pillars, outline)
+        self.size_nm = self.shapes.size_nm
         self.size_index = pillars.to_array()
         self.period_nm = lattice.period_nm
-        smallest = min(self.period_nm)
-        self._near = near_tables(psf.between(0.0, LONG_PERIODS * smallest), self.size_nm, self.period_nm)
+        smallest = lattice.spacing_nm
+        reach = _NEAR_HEXAGONAL if lattice.hexagonal else _NEAR
+        self._near = near_tables(psf.between(0.0, LONG_PERIODS * smallest), self.shapes, lattice, reach)
         middle = psf.between(_MIDDLE_PERIODS * smallest, LONG_PERIODS * smallest)
-        self._middle = MiddleRange.of(middle, self.period_nm, TILE_SITES)
+        self._middle = MiddleRange.of(middle, self.period_nm, TILE_SITES, reach)
         self._long_psf = psf.between(LONG_PERIODS * smallest, math.inf)
-        self._area = (self.size_nm[:, 0] * self.size_nm[:, 1]).astype(np.float32)
-        self._sides = self.size_nm.astype(np.float32)
+        self._area = self.shapes.area_nm2.astype(np.float32)
+        self._spread = (self.shapes.area_nm2 * self.shapes.sides_nm.T**2 / 24.0).astype(np.float32)
+        self._edge = np.ascontiguousarray(self.size_nm.T**2 / 8.0, dtype=np.float32)
         n_y, n_x = lattice.shape
         blocks = [
             (slice(row, min(row + TILE_SITES, n_y)), slice(column, min(column + TILE_SITES, n_x)))
@@ -91,18 +97,31 @@ class ResistEnergy:
         Doses have the shape (n_y, n_x) of the lattice and are relative to the base dose. The energy, shape (3,), is
         that at the centre, the mean of the x edges and that of the y edges; the pillar itself included.
         """
-        reach = math.ceil(5.0 * float(self.psf.range_nm.max()) / min(self.period_nm)) + 1
+        reach = math.ceil((5.0 * float(self.psf.range_nm.max()) + float(self.size_nm.max())) / min(self.period_nm))
         top, left = max(0, row - reach), max(0, column - reach)
         part = (slice(top, row + reach + 1), slice(left, column + reach + 1))
         w, length = self.size_nm[self.size_index[row, column]]
         points = np.array([[0.0, 0.0], [0.5 * w, 0.0], [-0.5 * w, 0.0], [0.0, 0.5 * length], [0.0, -0.5 * length]])
         points += np.array([column - left, row - top]) * np.asarray(self.period_nm)
-        pattern = (self.size_index[part], dose[part], self.size_nm, *self.period_nm)
+        pattern = (self.size_index[part], dose[part], float(self.size_nm.max()), *self.period_nm)
         rows = np.zeros((pattern[0].shape[0], len(points)))
         with kept_threads():
-            spread(_sum_rows, len(rows), *pattern, self.psf.weight, self.psf.range_nm, points, rows)
+            spread(_sum_rows, len(rows), *pattern, *self._rectangles, points, rows)
         energy = rows.sum(axis=0)
         return np.array([energy[0], energy[1:3].mean(), energy[3:].mean()])
+
+    @cached_property
+    def _rectangles(self) -> tuple[FloatArray, FloatArray]:
+        """Ranges of Gaussians, shape (n,), and of each the rectangles of all sizes: shape (n, n_sizes, 4).
+
+        A rectangle has its weight, its half width and its lower and upper end.
+        """
+        ranges, table = [], []
+        for weight, beta in zip(self.psf.weight, self.psf.range_nm, strict=True):
+            for part in self.shapes.parts(beta):
+                ranges.append(beta)
+                table.append(np.stack([weight * part.share, part.half_width_nm, part.low_nm, part.high_nm], axis=1))
+        return np.array(ranges), np.array(table)
 
     def _long_range(self, dose: Float32Array, executor: Executor) -> LongRange | None:
         if self._long_psf.range_nm.size == 0:
@@ -118,22 +137,22 @@ class ResistEnergy:
 
     def _tile(self, dose: Float32Array, long_range: LongRange | None, block: tuple[slice, slice]) -> TileEnergy:
         rows, columns = block
-        margin = self._middle.margin if self._middle is not None else 1
+        near = self._near
+        margin = self._middle.margin if self._middle is not None else max(near.reach)
         index = _with_margin(self.size_index, rows, columns, margin)
         doses = _with_margin(dose, rows, columns, margin)
         if self._middle is None:
             n_y, n_x = rows.stop - rows.start, columns.stop - columns.start
             energy = np.zeros((3, n_y, n_x), dtype=np.float32)
         else:
-            sides = self._sides[index]
-            energy = self._middle.energy(self._area[index] * doses, sides[..., 0], sides[..., 1])
+            spread_x, spread_y = self._spread[0][index] * doses, self._spread[1][index] * doses
+            edge = self._edge[:, self.size_index[block]]
+            energy = self._middle.energy(self._area[index] * doses, spread_x, spread_y, edge)
         if long_range is not None:
             energy += long_range.at(rows, columns)
-        inner = slice(margin - 1, index.shape[0] - margin + 1), slice(margin - 1, index.shape[1] - margin + 1)
-        near = self._near
-        add_near(
-            index[inner], doses[inner], near.centre, near.edge_x, near.edge_y, near.width_of, near.length_of, energy
-        )
+        inner = tuple(slice(margin - r, n - margin + r) for r, n in zip(near.reach, index.shape, strict=True))
+        tables = (near.centre, near.edge_x, near.edge_y, near.width_of, near.length_of)
+        add_near(index[inner], doses[inner], *tables, near.reach, energy)
         return TileEnergy(rows, columns, self.size_index[block], dose[block], energy[0], energy[1:])
 
 
@@ -155,35 +174,35 @@ def _sum_rows(
     behind: int,
     size_index: NDArray[np.uint16],
     dose: Float32Array,
-    size_nm: FloatArray,
+    largest_nm: float,
     period_x_nm: float,
     period_y_nm: float,
-    weight: FloatArray,
     range_nm: FloatArray,
+    rectangles: FloatArray,
     points_nm: FloatArray,
     energy: FloatArray,
 ) -> None:
     """Add each row's energy at ``points_nm`` (n, 2), from the centre of the first site, to ``energy`` (n_rows, n).
 
-    A Gaussian is left out beyond five of its ranges, where it is below 1e-11 of its peak.
+    Rectangles are those of :attr:`ResistEnergy._rectangles`, by ascending range. A Gaussian is left out beyond five of
+    its ranges, where it is below 1e-11 of its peak.
     """
-    largest = 0.5 * max(size_nm[:, 0].max(), size_nm[:, 1].max())
     for row in range(first, behind):
         for column in range(size_index.shape[1]):
             size = size_index[row, column]
             if size == 0:
                 continue
-            half_w, half_l = 0.5 * size_nm[size, 0], 0.5 * size_nm[size, 1]
             for k in range(len(points_nm)):
                 x = points_nm[k, 0] - column * period_x_nm
                 y = points_nm[k, 1] - row * period_y_nm
-                distance = max(abs(x), abs(y)) - largest
+                distance = max(abs(x), abs(y)) - 0.5 * largest_nm
                 total = 0.0
                 for n in range(range_nm.size - 1, -1, -1):
                     beta = range_nm[n]
                     if distance > 5.0 * beta:
                         break
-                    along_x = math.erf((x + half_w) / beta) - math.erf((x - half_w) / beta)
-                    along_y = math.erf((y + half_l) / beta) - math.erf((y - half_l) / beta)
-                    total += 0.25 * weight[n] * along_x * along_y
+                    weight, half, low, high = rectangles[n, size]
+                    along_x = math.erf((x + half) / beta) - math.erf((x - half) / beta)
+                    along_y = math.erf((y - low) / beta) - math.erf((y - high) / beta)
+                    total += 0.25 * weight * along_x * along_y
                 energy[row, k] += dose[row, column] * total

@@ -16,11 +16,13 @@ from scipy.special import erf
 from metafab import exposure, layout, mask
 from metafab.core.conventions import FloatArray
 from metafab.core.storage.files import file_sha256
+from metafab.exposure import BeamTerm
 from metafab.library import Library, build, save
 from metafab.phase.terms.profile import PhaseProfile
-from metafab.spec import UnitCell, load_design, load_unit_cell
+from metafab.spec import Dose, UnitCell, load_design, load_unit_cell
 from tests.layout.conftest import OffAxisLens, sizes_at_sites
 from tests.main_job import ROOT, SMALL, metafab
+from tests.physics.exposure.conftest import polygon_energy
 
 PROCESS = '\n[process.exposure]\npreset = "hsq_sos_100kv"\nclasses = 16\n'
 READ_BACK = '\n[mask.dose]\nby = "proximity"\nclasses = 16\n'
@@ -203,16 +205,16 @@ def test_measured_sizes_become_a_process_file_that_a_design_uses(folder: Path, t
     ("library", "further", "named"),
     [
         ("sos_800nm", "", "process.exposure"),
-        ("tio2_hexagonal_660nm", PROCESS, "cell.lattice"),
-        ("sin_circles_633nm", PROCESS, "cell.shape"),
+        ("cross", PROCESS, "cell.shape"),
         ("sos_800nm", '\n[process.exposure]\npreset = "unknown"\n', "hsq_sos_100kv"),
         ("sos_800nm", "\n[[mask.copies]]\nat_um = [0.0, 0.0]\nfocus_um = 0.5\n" + PROCESS, "convergence_mrad"),
     ],
 )
 def test_refusals_name_the_key(library: str, further: str, named: str, folder: Path, tmp_path: Path) -> None:
-    path = design_file(
-        tmp_path / "design.toml", SMALL, further, library=f'"{ROOT}/unitcell_lib/{library}.toml"', optimise='"none"'
-    )
+    cell = ROOT / "unitcell_lib" / f"{library}.toml"
+    if library == "cross":
+        cell = design_file(tmp_path / "cross.toml", cell.with_name("sos_800nm.toml"), "", shape='"cross"')
+    path = design_file(tmp_path / "design.toml", SMALL, further, library=f'"{cell}"', optimise='"none"')
     answer = metafab("expose", folder / "layout.oas", "--design", path, "--json")
     assert (answer.code, answer.stdout) == (2, "")
     assert named in answer.stderr
@@ -222,7 +224,6 @@ def test_refusals_name_the_key(library: str, further: str, named: str, folder: P
     ("library", "further", "columns", "named"),
     [
         ("sin_circles_633nm", PROCESS, "", "cell.shape"),
-        ("tio2_hexagonal_660nm", PROCESS, "", "cell.lattice"),
         ("sos_800nm", READ_BACK + PROCESS, "", "mask.dose"),
         ("sos_800nm", PROCESS, "sidewall_angle_deg=40", "sidewall_angle_deg"),
         ("sos_800nm", PROCESS, "height_nm=-10", "height_nm"),
@@ -243,6 +244,38 @@ def test_a_fit_names_what_it_refuses(
     assert f"`{named}`" in answer.stderr
     assert not columns or str(table) in answer.stderr
     assert not (tmp_path / "p.toml").exists()
+
+
+def test_discs_are_printed_and_corrected(tmp_path: Path) -> None:
+    """Energies of the corrected mask against polygons read by gdstk; the file is read back with its classes."""
+    source = ROOT / "layouts" / "tio2_metalens.toml"
+    blurred = PROCESS + "blur_nm = 15.0\n"
+    path = design_file(tmp_path / "design.toml", source, blurred, aperture_um="8.0", formats='["oas"]')
+    plain = load_design(path)
+    lattice = layout.lattice_of(plain)
+    table = np.array([(0, 0), *((side, side) for side in range(140, 480, 20))], dtype=np.int32)
+    index = np.random.default_rng(2).integers(1, len(table), lattice.shape).astype(np.uint16)
+    mask.write(layout.PillarMap.from_array(lattice, table, index, 64), tmp_path, plain)
+    common = ("expose", tmp_path / "layout.oas", "--design", path, "--json")
+    before = metafab(*common)
+    answer = metafab(*common, "--correct", "-o", tmp_path / "out", "--sample", "4", "--sample-csv", tmp_path / "s.csv")
+    assert (before.code, answer.code) == (0, 0), before.stderr + answer.stderr
+    assert answer.json["cd_error_rms_nm"] < 0.2 * before.json["cd_error_rms_nm"]
+    assert answer.json["cd_error_rms_nm"] < 0.1
+    drawn = gdstk.read_oas(tmp_path / "out" / "layout.oas")
+    rows = csv.DictReader((tmp_path / "out" / "doses.csv").open(encoding="utf-8"))
+    dose = {int(row["datatype"]): float(row["dose_over_base_dose"]) for row in rows}
+    polygons = [(1e9 * drawn.unit * p.points, dose[p.datatype]) for p in drawn.top_level()[0].get_polygons()]
+    terms = [BeamTerm("gauss", term["weight"], term["range_nm"]) for term in answer.json["psf"]["terms"]]
+    beam, ratio = exposure.BeamPsf.of(terms, "assumption"), answer.json["base_over_clearing_dose"]
+    for row in csv.DictReader((tmp_path / "s.csv").open(encoding="utf-8")):
+        x, y, half = 1e3 * float(row["x_um"]), 1e3 * float(row["y_um"]), 0.5 * float(row["width_nm"])
+        edges = [sum(d * polygon_energy(beam, p - (x + dx, y)) for p, d in polygons) for dx in (half, -half)]
+        assert float(row["energy_edge_x"]) == pytest.approx(0.5 * ratio * sum(edges), abs=2e-4)
+        assert float(row["printed_width_nm"]) == pytest.approx(2.0 * half, abs=0.5)
+    classed = replace(plain, mask=replace(plain.mask, dose=Dose(by="proximity", classes=16)))
+    back = mask.read(tmp_path / "out" / "layout.oas", classed)
+    assert np.array_equal(sizes_at_sites(back.pillars), table[index])
 
 
 def test_options_that_need_each_other(folder: Path, tmp_path: Path) -> None:

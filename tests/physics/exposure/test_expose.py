@@ -7,7 +7,9 @@ import pytest
 from scipy.special import erf
 
 from metafab.exposure import BeamPsf, BeamTerm, ExposureNumerics, expose
-from metafab.layout import PillarMap
+from metafab.exposure.expose import Correction
+from metafab.layout import Lattice, PillarMap
+from metafab.layout.outlines import Outline
 from tests.physics.exposure.conftest import BEAM, disc, pattern
 
 
@@ -46,6 +48,23 @@ def test_pillars_are_listed_once_each_and_as_many_as_there_are() -> None:
     result = expose(pattern(np.array([(150.0, 200.0)]), index), BEAM, numerics=ExposureNumerics(samples=10))
     assert result.figures.pillars == 3
     assert len({(pillar.x_um, pillar.y_um) for pillar in result.samples}) == len(result.samples) == 3
+
+
+@pytest.mark.parametrize("correction", ["dose", "shape"])
+def test_discs_on_a_hexagonal_lattice_print_at_size(correction: Correction) -> None:
+    """Doses leave the difference of both diameters, the lattice being no square; shapes a step of 1 nm."""
+    lattice = Lattice((380, 658), (31, 53), 0.5, True)
+    index = np.random.default_rng(8).integers(1, 9, lattice.shape)
+    index[~lattice.carries(np.arange(31), np.arange(53))] = 0
+    sizes = np.repeat([[0], *((4 * side,) for side in range(55, 127, 9))], 2, axis=1).astype(np.int32)
+    pillars = PillarMap.from_array(lattice, sizes, index.astype(np.uint16), 512)
+    found = [
+        expose(pillars, BEAM.blurred(20.0), outline=Outline("ellipse", 0.5), correction=kind).figures
+        for kind in ("none", correction)
+    ]
+    assert found[0].cd_error_rms_nm > 3.0 * found[1].cd_error_rms_nm
+    assert found[1].cd_error_rms_nm < (0.1 if correction == "dose" else 0.5)
+    assert np.isnan(found[1].corner_radius_nm)
 
 
 def test_corrected_shapes_print_what_was_drawn() -> None:

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from metafab.core.errors import InputError
 from metafab.exposure import BeamPsf, BeamTerm, ResistEnergy
+from metafab.exposure.printing import EdgeTables
 from metafab.layout import Lattice, PillarMap
-from tests.physics.exposure.conftest import BEAM, PERIOD_NM, pattern
+from metafab.layout.outlines import Outline, Shape
+from tests.physics.exposure.conftest import BEAM, PERIOD_NM, pattern, polygon_energy
 
 
 def test_every_energy_agrees_with_a_direct_sum(lens: PillarMap) -> None:
@@ -48,8 +49,44 @@ def test_a_pad_of_touching_pillars_is_a_rectangle() -> None:
     assert centre[0, 0] == pytest.approx(0.7 * along[0] ** 2 + 0.3 * along[1] ** 2, abs=1e-3)
 
 
-def test_a_hexagonal_lattice_is_refused_by_name() -> None:
-    lattice = Lattice((350, 606), (4, 4), 0.5, hexagonal=True)
-    pillars = PillarMap.from_array(lattice, np.array([(0, 0), (200, 200)], np.int32), np.eye(4, dtype=np.uint16), 512)
-    with pytest.raises(InputError, match="hexagonal"):
-        ResistEnergy(pillars, BEAM)
+@pytest.mark.parametrize(
+    ("hexagonal", "shape"), [(True, "ellipse"), (True, "rectangle"), (False, "ellipse"), (False, "rounded")]
+)
+def test_other_lattices_and_outlines_agree_with_sums_over_polygons(hexagonal: bool, shape: Shape) -> None:
+    """At random pillars and at the rim of a disc: polygons of the mask, each by Owen's function."""
+    rng = np.random.default_rng(7)
+    lattice = Lattice((380, 658), (27, 45), 0.5, True) if hexagonal else Lattice((700, 700), (25, 25), 0.5)
+    rows, columns = (np.arange(n) for n in lattice.shape)
+    inside = np.hypot(lattice.x_um(), lattice.y_um()[:, None]) < 4.3
+    index = np.where(inside & lattice.carries(rows, columns), rng.integers(1, 9, lattice.shape), 0).astype(np.uint16)
+    sides = (
+        4 * rng.integers(50, 130, (8, 2))
+        if shape != "ellipse" or not hexagonal
+        else 4 * np.repeat(rng.integers(50, 130, (8, 1)), 2, axis=1)
+    )
+    sizes = np.concatenate([[(0, 0)], sides]).astype(np.int32)
+    outline = Outline(shape, 0.5, 80.0 if shape == "rounded" else 0.0)
+    pillars = PillarMap.from_array(lattice, sizes, index, 512)
+    dose = rng.uniform(0.8, 1.2, lattice.shape).astype(np.float32)
+    resist = ResistEnergy(pillars, BEAM, outline)
+    tables = EdgeTables.of(BEAM, resist.shapes)
+    polygons = [0.5 * polygon for polygon in outline.polygons(sizes.astype(np.int64))]
+    places = [tuple(place) for place in rng.permutation(np.argwhere(index))[:1]]
+    places.append((12, int(np.flatnonzero(index[12])[0])))
+    with ThreadPoolExecutor(1) as threads:
+        ((_, found),) = resist.map_tiles(dose, threads, lambda tile: np.concatenate([tile.centre[None], tile.others]))
+    x_nm, y_nm = 1e3 * lattice.x_um(), 1e3 * lattice.y_um()
+    for row, column in places:
+        size, corners = index[row, column], []
+        for y, x in np.argwhere(index):
+            corners.append(((x_nm[x], y_nm[y]) + polygons[index[y, x]], dose[y, x]))
+
+        def energy(x: float, y: float, corners: list[tuple[np.ndarray, float]] = corners) -> float:
+            return sum(d * polygon_energy(BEAM, polygon - (x, y)) for polygon, d in corners)
+
+        x, y, (w, length) = x_nm[column], y_nm[row], 0.25 * sizes[size]
+        exact = [energy(x, y)]
+        exact += [0.5 * (energy(x + dx, y + dy) + energy(x - dx, y - dy)) for dx, dy in ((w, 0.0), (0.0, length))]
+        np.testing.assert_allclose(resist.direct(dose, row, column), exact, rtol=0.0, atol=5e-5)
+        own = [0.0, *tables.at_edge[:, size] * dose[row, column]]
+        np.testing.assert_allclose(found[:, row, column] + own, exact, rtol=0.0, atol=2e-4)
