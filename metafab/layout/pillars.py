@@ -191,6 +191,14 @@ class PillarMap(Displayed):
             yield row, whole[row : row + rows + 1]
             release(whole)
 
+    def numbers(self) -> NDArray[np.int64]:
+        """Number of pillars of each size, shape (n_sizes + 1,); 0 for no pillar."""
+        numbers = np.zeros(len(self.size_dbu), dtype=np.int64)
+        for tile in self.tiles():
+            numbers += np.bincount(tile.size_index.ravel(), minlength=numbers.size)
+        numbers[0] = 0
+        return numbers
+
     def size_nm(self) -> FloatArray:
         """Width and length of each size in nanometres, shape (n_sizes + 1, 2)."""
         return np.multiply(self.size_dbu, self.lattice.database_unit_nm, dtype=np.float64)

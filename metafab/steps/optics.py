@@ -115,6 +115,9 @@ class PsfFigures(PairFigures):
     filter_fwhm_nm: float | None = optional()  #: Width of the colour filter; None for one wavelength.
     #: True where the library's model of unlike neighbours gave the light of the pillars, else None.
     with_neighbours: bool | None = optional()
+    #: Relative rms change of the pillars' light from the corner of the field, which comes at an angle; None without a
+    #: field, and where it was not solved (:func:`metafab.library.use.oblique_error.oblique_field_error`).
+    oblique_error: float | None = optional()
 
     @classmethod
     def compared(
@@ -442,12 +445,28 @@ def _psf(job: Job) -> PsfFigures:
         depth_interpolation_error=_depth_interpolation_error(written, verified),
         light_at_um=light_elsewhere(source, Imaging.of(design), written),
     )
-    return replace(figures, with_neighbours=isinstance(pillars, NeighbourField) or None)
+    return replace(
+        figures,
+        with_neighbours=isinstance(pillars, NeighbourField) or None,
+        oblique_error=None if pillars is None else _oblique_error(job, pillars.pillars),
+    )
+
+
+def _oblique_error(job: Job, pillars: PillarMap) -> float | None:
+    """Change of the pillars' light from the corner of the field; None without a field."""
+    from metafab import optics
+    from metafab.library.use.oblique_error import oblique_field_error
+
+    field = optics.field_tangents(job.design, optics.Imaging.of(job.design))
+    if field is None:
+        return None
+    corner = (float(field[0][-1]), float(field[1][-1]))
+    return oblique_field_error(open_library(job), pillars.size_nm(), pillars.numbers(), corner)
 
 
 PSF = Step(
     name="psf",
-    rooms=("mask", "optics"),
+    rooms=("cell", "library", "mask", "optics"),
     after=("library", "phase", "layout"),
     inputs=lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m, d.optics, d.substrate, d.has_mask),
     outputs=_psf_files,

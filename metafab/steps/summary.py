@@ -126,7 +126,7 @@ class RunSummary:
 
 
 #: Sources of error that only images have.
-_OF_IMAGES = {"depth interpolation", "field interpolation", "decoder"}
+_OF_IMAGES = {"depth interpolation", "field interpolation", "oblique light", "decoder"}
 #: Sources of error that only pillars have.
 _OF_PILLARS = {
     "solver and library",
@@ -134,6 +134,7 @@ _OF_PILLARS = {
     "index of the pillar",
     "local-period approximation",
     "model of unlike neighbours",
+    "oblique light",
 }
 
 
@@ -188,6 +189,12 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
             "phases solved again with the index raised by its standard uncertainty, common phase taken out",
         ),
         _neighbours_line(summary),
+        BudgetLine(
+            "oblique light",
+            None if psf is None else psf.oblique_error,
+            "relative L2",
+            "field of sizes of the mask under light from the corner of the field, common phase taken out",
+        ),
         BudgetLine(
             "pupil reduction and sampling",
             None if psf is None else max(psf.error),

@@ -61,8 +61,7 @@ def with_measured_sizes(pillars: PillarMap, path: Path, library: Library) -> Pil
 def _require_known(pillars: PillarMap, library: Library, path: Path) -> None:
     """Refuse sizes beyond those of the library."""
     size_nm = pillars.size_nm()
-    used = np.bincount(pillars.to_array().ravel(), minlength=len(size_nm))
-    used[0] = 0
+    used = pillars.numbers()
     beyond = np.zeros(len(size_nm), dtype=bool)
     for axis, known_nm in ((0, library.width_nm), (1, library.length_nm)):
         beyond |= (size_nm[:, axis] < known_nm[0] - 1e-6) | (size_nm[:, axis] > known_nm[-1] + 1e-6)

@@ -77,8 +77,8 @@ def test_without_rows_nothing_is_measured_and_nothing_hashed(tmp_path: Path, sma
 def test_what_only_a_photograph_meets_is_left_out_without_one(photographed: bool) -> None:
     decode = DecodeFigures(nmae=None, segments=()) if photographed else None
     sources = [line.source for line in error_budget(RunSummary(layout=LAYOUT, psf=PSF, decode=decode))]
-    assert len(sources) == (8 if photographed else 5)
-    assert ("decoder" in sources) == photographed
+    assert len(sources) == (9 if photographed else 5)
+    assert ("decoder" in sources) == ("oblique light" in sources) == photographed
     assert "local-period approximation" in sources, "what was not measured but applies stays, as not measured"
 
 
