@@ -31,6 +31,7 @@ ROOMS = (
     "films",
     "files",
     "end_to_end",
+    "targets",
     "floor",
 )
 #: Options of rooms whose cases can be chosen, or drawn with other seeds.

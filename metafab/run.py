@@ -27,7 +27,7 @@ from metafab.core.storage.provenance import code_sha256, contents_sha256
 from metafab.core.storage.tables import DAMAGED, typed
 from metafab.spec import Design, canonical_toml
 from metafab.steps import RESULT_STEPS
-from metafab.steps.job import Job, Step, relative_to
+from metafab.steps.job import Job, Step, relative_to, with_targets
 from metafab.steps.merit import recorded_coupling
 from metafab.steps.preflight import PREFLIGHT
 from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, RunSummary, SkippedStep, error_budget, ledger
@@ -115,6 +115,7 @@ def run(
     interpolates. ``say`` is called with announcements before the work begins. InputError if another process runs in
     this folder.
     """
+    design = with_targets(design)
     job = Job(design, folder, work, skips)
     state = _State(job, _read_records(folder, (check, *steps)), _read_log(folder))
     if not state.is_current(check):

@@ -150,9 +150,9 @@ TargetError = Annotated[
 def open_job(design: Path, folder: Path | None, work: Work) -> Job:
     """Open the job of a design file, in ``folder`` or in ``runs/NAME``."""
     from metafab.spec import load_design
-    from metafab.steps.job import Job
+    from metafab.steps.job import Job, with_targets
 
-    spec = load_design(design)
+    spec = with_targets(load_design(design))
     return Job(spec, folder or Path("runs") / spec.name, work)
 
 

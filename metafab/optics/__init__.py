@@ -3,6 +3,7 @@
 - ``stack``                :func:`psf`: the pair of PSFs over depth and field
 - ``polarisation_states``  :func:`~metafab.optics.polarisation_states.stokes_psf`: PSFs of six states of polarisation
 - ``numerics``             PsfNumerics: window, target error and filter; valid inputs
+- ``depth_target``         numerics for a wanted error of depth
 - ``point_spread``         Psf, the result, with PsfField and PsfDetails
 - ``store``                ``psf.h5``
 - ``stack_files``          pictures of a point in files of other programs

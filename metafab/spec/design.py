@@ -159,6 +159,8 @@ class Verify(Checked):
     #: Number of field points along x and y; one number for both.
     field_points: Annotated[tuple[FieldPoints, FieldPoints], BOTH] = (5, 5)
     target_error: TargetError = 1e-3  #: Target error of the PSFs (relative L2).
+    #: Wanted relative error of depth; sets `target_error` and `field_points` so that the numerics take a third of it.
+    target_depth_error: Annotated[TargetError | None, Field(description="omitted: these two as given")] = None
     #: Whether the polarisation of the light bends with its direction.
     vectorial: Annotated[Flag | None, Field(description="omitted: where its effect counts, from an NA near 0.3")] = None
     #: (x, y) of the centre of the PSF windows on the sensor, from the axis.
@@ -269,6 +271,8 @@ class Design(Checked):
                 "`verify.centre_um` moves the window of a device without scene and `split_lens`, whose windows follow "
                 "the images of objects"
             )
+        if self.verify.target_depth_error is not None and self.scene is None:
+            yield "`verify.target_depth_error` needs a `scene`, whose depths it is about"
         informed = any(isinstance(term, SpiralZones) and term.optimise == "blind_information" for term in self.phase)
         if informed and self.scene is None:
             yield "`optimise` = 'blind_information' needs a `scene`: its photons and noise decide"

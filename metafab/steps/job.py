@@ -53,6 +53,15 @@ class Job:
         return replace(self, design=design, nominal=None if own else self.design)
 
 
+def with_targets(design: Design) -> Design:
+    """Return the design with the numerics that its ``verify.target_depth_error`` needs; InputError if none suffice."""
+    if design.verify.target_depth_error is None:
+        return design
+    from metafab.optics.depth_target import with_depth_target
+
+    return with_depth_target(design)
+
+
 def relative_to(folder: Path, path: Path) -> str:
     """``path`` from ``folder``, ".." included, so that a project gives the same text wherever it stands."""
     return Path(os.path.relpath(path.resolve(), folder.resolve())).as_posix()

@@ -16,7 +16,7 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.peaks import parabolic_maximum
 from metafab.core.numeric.splines import spline_weights
-from metafab.optics.geometry.imaging import Imaging
+from metafab.optics.geometry.imaging import Imaging, Tangent
 from metafab.optics.geometry.path import Ray
 from metafab.optics.point_spread import Psf
 
@@ -61,17 +61,33 @@ def aberration_dioptre(
     They are the coefficients of (x^2 + y^2) / 2 and (x^2 - y^2) / 2 in a least-squares fit, with tilt, skew and coma,
     to the change of path from the axis to the direction of the object, over the circle around the aperture.
     """
+    u, v, change_um = _path_change(imaging, polarisation, ((0.0, 0.0), tangent), depth_m)
+    square = u * u + v * v
+    terms = np.stack([np.ones_like(u), u, v, square, u * u - v * v, u * v, square * u, square * v], axis=1)
+    rim_um = 0.5 * imaging.aperture_um
+    defocus, astigmatism = 2e6 * np.linalg.lstsq(terms, change_um, rcond=None)[0][3:5] / rim_um**2
+    return float(defocus), float(astigmatism)
+
+
+def wavefront_change_rad(
+    imaging: Imaging, polarisation: int, tangents: tuple[Tangent, Tangent], depth_m: float
+) -> float:
+    """Return the rms difference of the wavefronts of two object directions over the aperture, tilt taken out."""
+    u, v, change_um = _path_change(imaging, polarisation, tangents, depth_m)
+    terms = np.stack([np.ones_like(u), u, v], axis=1)
+    return imaging.wavenumber * float((change_um - terms @ np.linalg.lstsq(terms, change_um, rcond=None)[0]).std())
+
+
+def _path_change(
+    imaging: Imaging, polarisation: int, tangents: tuple[Tangent, Tangent], depth_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Points (u, v) of the circle around the aperture, over its radius, and the change of path, um, shape (n,) each."""
     rim_um = 0.5 * imaging.aperture_um
     radius = rim_um * np.sqrt((np.arange(_RADII) + 0.5) / _RADII)[:, None]
     azimuth = 2.0 * np.pi * np.arange(_AZIMUTHS) / _AZIMUTHS
     x, y = (radius * np.cos(azimuth)).ravel(), (radius * np.sin(azimuth)).ravel()
-    rays = [Ray.towards_image(imaging, polarisation, depth_m, t) for t in (tangent, (0.0, 0.0))]
-    change_um = rays[0].path_um(x, y) - rays[1].path_um(x, y)
-    u, v = x / rim_um, y / rim_um
-    square = u * u + v * v
-    terms = np.stack([np.ones_like(u), u, v, square, u * u - v * v, u * v, square * u, square * v], axis=1)
-    defocus, astigmatism = 2e6 * np.linalg.lstsq(terms, change_um, rcond=None)[0][3:5] / rim_um**2
-    return float(defocus), float(astigmatism)
+    before, after = (Ray.towards_image(imaging, polarisation, depth_m, t).path_um(x, y) for t in tangents)
+    return x / rim_um, y / rim_um, after - before
 
 
 def depth_bias_dioptre(psf: Psf) -> FloatArray:
