@@ -16,6 +16,7 @@ from metafab.core.parallel.progress import Progress, silent
 ROOMS = (
     "cell",
     "certificates",
+    "stability",
     "meep",
     "focus",
     "library",
