@@ -40,13 +40,16 @@ class OpenOrders:
         )
 
 
-def open_orders(unit_cell: UnitCell) -> tuple[OpenOrders, ...]:
+def open_orders(unit_cell: UnitCell, *, angle_deg: float = 0.0, azimuth_deg: float = 0.0) -> tuple[OpenOrders, ...]:
     """Return the orders that open on either side of a unit cell; solves three sizes if there are any.
 
-    Errors as :func:`metafab.cell.pillar_cell`.
+    Angles and errors as :func:`metafab.cell.pillar_cell`.
     """
     sides: tuple[Side, Side] = ("substrate", "ambient")
-    cells = [pillar_cell(unit_cell, *_size_nm(unit_cell, share)) for share in _SIZES]
+    cells = [
+        pillar_cell(unit_cell, *_size_nm(unit_cell, share), angle_deg=angle_deg, azimuth_deg=azimuth_deg)
+        for share in _SIZES
+    ]
     index = _index(cells[0], unit_cell)
     counts = {side: len(propagating_orders(cells[0], index[side])) - 1 for side in sides}
     if not any(counts.values()):
@@ -62,7 +65,7 @@ def open_orders(unit_cell: UnitCell) -> tuple[OpenOrders, ...]:
         densest = max(complex(n).real for n in index[side])
         # The first orders of a hexagonal lattice belong to its row distance, sqrt(3) / 2 of the period.
         factor = 2.0 / np.sqrt(3.0) if unit_cell.cell.is_hexagonal else 1.0
-        largest_nm = float(factor * unit_cell.illumination.wavelength_nm / densest)
+        largest_nm = float(factor * cells[0].wavelength_nm / (densest + np.hypot(*cells[0].in_plane)))
         found.append(OpenOrders(side, counts[side], largest_nm, float(shares[0]), float(shares[1]), error))
     return tuple(found)
 

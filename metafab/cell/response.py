@@ -112,6 +112,12 @@ class CellSolver(Protocol):
         """
 
 
+def power_ratio(cell: PillarCell) -> FloatArray:
+    """Return the zero-order power transmittance of t = 1, shape (2,), x and y polarisation: n_out / n_in along z."""
+    ratios = [_power_across(cell, e, cell.far_side) / _power_across(cell, e, cell.side) for e in np.eye(2)]
+    return np.array(ratios)
+
+
 def _power_across(cell: PillarCell, field: ComplexArray | FloatArray, side: Side) -> float:
     """Power along z of a zero order with tangential field (x, y) on ``side``, in units of |E|^2 in vacuum."""
     tensor = cell.tensor(side)

@@ -97,6 +97,8 @@ class LightMapping:
     weight: float  #: Weight in the choice of sizes.
     offsets_rad: tuple[float, ...]  #: Constants added to the target phases of x and y polarisation.
     figures: MappingFigures  #: Figures at this wavelength.
+    angle_x_deg: float = 0.0  #: Angle of incidence in the x-z plane, in the medium of incidence.
+    angle_y_deg: float = 0.0  #: Likewise in the y-z plane.
 
 
 @dataclass(frozen=True)

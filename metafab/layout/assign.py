@@ -105,9 +105,16 @@ def assign(
 def _of_lights(
     choice: LightChoice, lights: Sequence[LightTarget], total: TileSums, design: Design
 ) -> tuple[LightMapping, ...]:
-    """Figures of the mapping at each wavelength."""
+    """Figures of the mapping of each light."""
     return tuple(
-        LightMapping(spec.wavelength_nm, spec.weight, tuple(offset), sums.figures(light.library, table))
+        LightMapping(
+            spec.wavelength_nm,
+            spec.weight,
+            tuple(offset),
+            sums.figures(light.library, table),
+            spec.angle_x_deg,
+            spec.angle_y_deg,
+        )
         for spec, light, sums, table, offset in zip(
             design.light, lights, total.lights, choice.sizes.tables, choice.offsets_rad.tolist(), strict=True
         )
@@ -139,7 +146,7 @@ def mapping_of(
     if of_lights is None:
         offsets = constant_phases(profile, each, aperture)
     else:
-        own = [light.wavelength_nm for light in design.light].index(design.unit_cell.illumination.wavelength_nm)
+        own = [light.key for light in design.light].index((design.unit_cell.illumination.wavelength_nm, 0.0, 0.0))
         offset_x, offset_y = of_lights.offsets_rad[own].tolist()
         offsets = offset_x, offset_y
     table = each if joint is None else joint.table

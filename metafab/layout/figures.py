@@ -10,12 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.conventions import ComplexArray, FloatArray, power_transmittance
+from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.figures import MappingFigures
 from metafab.core.numeric.chebyshev import power_coefficients
 from metafab.core.numeric.compiled import compiled
 from metafab.layout.pillars import SizeIndexArray
 from metafab.library import Library, SizeTable
+from metafab.library.use.amplitudes import power_ratio_of
 
 
 @dataclass(frozen=True)
@@ -63,20 +64,14 @@ class TileSums:
         )
 
     def figures(self, library: Library, table: SizeTable) -> MappingFigures:
-        """Return the figures of the lens whose sums these are; the library gives the refractive indices."""
-        from metafab.cell import pillar_cell
-
-        cell = pillar_cell(library.unit_cell, 0.0, 0.0)
-        media = list(zip(cell.n_in, cell.n_out, strict=True))
-
-        def relative_power(amplitude: ComplexArray | FloatArray) -> FloatArray:
-            """Power of amplitudes of x and y polarisation over the incident power, shape (2,)."""
-            return np.array([power_transmittance(t, *indices) for t, indices in zip(amplitude, media, strict=True)])
-
-        transmittance = relative_power(np.sqrt(self.power / self.pillars))
+        """Return the figures of the lens whose sums these are; the library gives the media and the angle."""
+        ratio = power_ratio_of(library)
+        transmittance = self.power / self.pillars * ratio
         overlap = np.abs(self.overlap) ** 2 / (self.pillars * self.power)
         efficiency = transmittance * overlap
-        among = None if self.among is None else [relative_power(sums / self.pillars).mean() for sums in self.among]
+        among = (
+            None if self.among is None else [(np.abs(sums / self.pillars) ** 2 * ratio).mean() for sums in self.among]
+        )
         gap_dbu = self.smallest_gap_dbu
         used = self.used > 0
         return MappingFigures(

@@ -125,16 +125,15 @@ def corner_cell(unit_cell: UnitCell, width_nm: float, length_nm: float, corner: 
     Errors as :func:`metafab.cell.pillar_cell`.
     """
     bias = corner.get("cd_bias_nm", 0.0)
+    cell = pillar_cell(corner_unit_cell(unit_cell, corner), width_nm + bias, length_nm + bias, **incidence(corner))
+    return replace(cell, n_pillar=cell.n_pillar + corner.get("pillar_n_shift", 0.0))
+
+
+def incidence(corner: Corner) -> dict[str, float]:
+    """Return the polar angle and the azimuth of incidence at a corner, for :func:`metafab.cell.pillar_cell`."""
     angles = {azimuth: corner[name] for name, azimuth in _AZIMUTH_DEG.items() if name in corner}
     azimuth_deg, angle_deg = next(iter(angles.items()), (0.0, 0.0))
-    cell = pillar_cell(
-        corner_unit_cell(unit_cell, corner),
-        width_nm + bias,
-        length_nm + bias,
-        angle_deg=abs(angle_deg),
-        azimuth_deg=azimuth_deg,
-    )
-    return replace(cell, n_pillar=cell.n_pillar + corner.get("pillar_n_shift", 0.0))
+    return {"angle_deg": abs(angle_deg), "azimuth_deg": azimuth_deg}
 
 
 def _smooth(name: str, value: float) -> float:

@@ -253,7 +253,8 @@ class Design(Checked):
     #: Fabrication process, a table or the path of a process file; no exposure is simulated without it.
     process: Process | None = None
     measured: Measured | None = None  #: Measured figures of the made device, shown beside the simulated ones.
-    #: Wavelengths that the mask serves together, the unit cell's among them; it alone without the table.
+    #: Wavelengths and directions that the mask serves together, the unit cell's wavelength along the axis among them;
+    #: that alone without the table.
     light: tuple[Light, ...] = ()
     limits: Limits | None = None  #: Limits on what reading a file may take.
 
@@ -359,15 +360,25 @@ class Design(Checked):
         if not self.light:
             return
         own_nm = self.unit_cell.illumination.wavelength_nm
-        wavelengths = [light.wavelength_nm for light in self.light]
-        if len(set(wavelengths)) < max(len(wavelengths), 2) or own_nm not in wavelengths:
-            listed = ", ".join(f"{value:g}" for value in wavelengths)
+        lights, own = [light.key for light in self.light], (own_nm, 0.0, 0.0)
+        if len(set(lights)) < max(len(lights), 2) or own not in lights:
+            listed = "; ".join(light.label for light in self.light)
             yield (
-                f"`light` must list two or more different wavelengths, the {own_nm:g} nm of the unit cell among them, "
-                f"got {listed} nm"
+                f"`light` must list two or more different wavelengths or directions, the {own_nm:g} nm of the unit "
+                f"cell along the axis among them, got {listed}"
             )
-        elif self.light[wavelengths.index(own_nm)].phase is not None:
+        elif self.light[lights.index(own)].phase is not None:
             yield f"the `light` of {own_nm:g} nm, the unit cell's, has the design's `phase`; leave out `light.phase`"
+        spans = {} if self.unit_cell.sweep.axes is None else self.unit_cell.sweep.axes.spans
+        for light in self.light:
+            needed = {axis: abs(angle) for axis, angle in light.angles_deg.items()}
+            if needed and light.wavelength_nm != own_nm:
+                needed["wavelength_nm"] = light.wavelength_nm
+            for axis, value in needed.items():
+                low, high = spans.get(axis, (0.0, 0.0))
+                if not low <= value <= high:
+                    got = f"[{low:g}, {high:g}]" if axis in spans else "none"
+                    yield f"the `light` of {light.label} needs a `sweep.axes.{axis}` that holds {value:g}, got {got}"
         rules = self.rules
         hindrances = {
             'rules.gap_rule = "pairs"': rules.gap_rule == "pairs",

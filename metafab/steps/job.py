@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -29,8 +30,9 @@ class Job:
     work: Work = Work()  #: Workers, cluster and progress.
     #: Whether steps leave out work that the target errors allow to leave out (:mod:`metafab.steps.summary`).
     skips: bool = True
-    #: Design for the unit cell's own wavelength, where ``design`` is that design at another (:meth:`at_light`).
+    #: Design for the unit cell's own light, where ``design`` is that design at another (:meth:`at_light`).
     nominal: Design | None = None
+    light: Light | None = None  #: Light of ``design``, where ``nominal`` has several.
 
     @cached_property
     def profile(self) -> PhaseProfile:
@@ -48,9 +50,32 @@ class Job:
         try:
             design = self.design.at_light(light)
         except ValidationError as error:
-            raise InputError(f"{self.design.name} at {light.wavelength_nm:g} nm", faults_of(error, Design)) from error
-        own = light.wavelength_nm == self.design.unit_cell.illumination.wavelength_nm
-        return replace(self, design=design, nominal=None if own else self.design)
+            raise InputError(f"{self.design.name} at {light.label}", faults_of(error, Design)) from error
+        own = light.wavelength_nm == self.design.unit_cell.illumination.wavelength_nm and not light.angles_deg
+        return replace(self, design=design, nominal=None if own else self.design, light=None if own else light)
+
+
+def light_tangent(design: Design, light: Light) -> tuple[float, float]:
+    """Direction (x/z, y/z), in air, of the distant object that a light comes from.
+
+    InputError if no light of the air has that angle in the medium of incidence.
+    """
+    from metafab.materials import refractive_index
+
+    materials, side = design.unit_cell.materials, design.unit_cell.illumination.side
+    medium = materials.substrate if side == "substrate" else materials.ambient
+    n = refractive_index(medium, light.wavelength_nm)[0].real
+    tangents = []
+    for axis, angle_deg in (("angle_x_deg", light.angle_x_deg), ("angle_y_deg", light.angle_y_deg)):
+        sine = n * math.sin(math.radians(angle_deg))
+        if abs(sine) >= 1.0:
+            largest = f"below {math.degrees(math.asin(1.0 / n)):.4g} deg in a medium of index {n:.4g}"
+            raise InputError.single(
+                design.name, f"light.{axis}", largest, f"{angle_deg:g}", "no light of the air has it"
+            )
+        # The object stands on the other side of the axis than the light travels to.
+        tangents.append(-sine / math.sqrt(1.0 - sine**2) + 0.0)
+    return tangents[0], tangents[1]
 
 
 def with_targets(design: Design) -> Design:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from metafab.core.errors import InputError
 from metafab.core.figures import LightMapping, MappingFigures, WriteTime
 from metafab.core.storage.tables import optional, typed
+from metafab.spec.light import light_label
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.library import libraries, open_library
 
@@ -42,7 +43,11 @@ class LayoutFigures(MappingFigures):
         """Return the sentences of :class:`MappingFigures`, for each wavelength that the mask serves."""
         if self.lights is None:
             return super().warnings()
-        return [f"at {light.wavelength_nm:g} nm, {text}" for light in self.lights for text in light.figures.warnings()]
+        return [
+            f"at {light_label(light.wavelength_nm, light.angle_x_deg, light.angle_y_deg)}, {text}"
+            for light in self.lights
+            for text in light.figures.warnings()
+        ]
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -116,7 +115,7 @@ def library_is_current(job: Job) -> bool:
 def open_library(job: Job) -> Library:
     """Load the library of the design; build it first if it is missing or was built from another unit cell.
 
-    At another wavelength than the unit cell's, a library that was swept over the wavelength is evaluated there.
+    At another wavelength than the unit cell's, or an angle, a library that was swept over this axis is evaluated there.
 
     Raises:
         InputError: another wavelength is asked of a built library without that axis.
@@ -126,7 +125,10 @@ def open_library(job: Job) -> Library:
     if job.nominal is not None:
         wavelength_nm = job.design.unit_cell.illumination.wavelength_nm
         if _is_swept(job.nominal, job.design):
-            return open_library(replace(job, design=job.nominal, nominal=None)).at(wavelength_nm=wavelength_nm)
+            axes = {} if job.light is None else job.light.angles_deg
+            if wavelength_nm != job.nominal.unit_cell.illumination.wavelength_nm:
+                axes = {**axes, "wavelength_nm": wavelength_nm}
+            return open_library(replace(job, design=job.nominal, nominal=None, light=None)).at(**axes)
         if job.design.library.suffix == ".h5":
             remedy = "name the unit-cell file in its place; libraries at other wavelengths are then built from it"
             expected = f"a library swept over the wavelength up to {wavelength_nm:g} nm (`sweep.axes.wavelength_nm`)"
@@ -146,9 +148,9 @@ def libraries(job: Job) -> list[Library]:
 
 
 def _is_swept(nominal: Design, design: Design) -> bool:
-    """Whether the library of ``nominal`` has an axis that contains the wavelength of ``design``."""
-    axes = nominal.unit_cell.sweep.axes
-    low, high = (axes and axes.wavelength_nm) or (math.inf, -math.inf)
+    """Whether the library of ``nominal`` gives the wavelength of ``design``: its own, or one of an axis."""
+    axes, own_nm = nominal.unit_cell.sweep.axes, nominal.unit_cell.illumination.wavelength_nm
+    low, high = (axes and axes.wavelength_nm) or (own_nm, own_nm)
     return low <= design.unit_cell.illumination.wavelength_nm <= high
 
 

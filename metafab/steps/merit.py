@@ -19,8 +19,9 @@ from metafab.core.storage.files import file_sha256, write_json
 from metafab.core.storage.tables import optional, typed
 from metafab.spec import Design, Light
 from metafab.spec.design import Measured
+from metafab.spec.light import light_label
 from metafab.spec.terms import Lens, Radial, SplitLens
-from metafab.steps.job import Job, Step, in_folder, no_mask
+from metafab.steps.job import Job, Step, in_folder, light_tangent, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
 from metafab.steps.optics import PairFigures, lit_source, point_spread, save_psf, written_light
@@ -109,14 +110,21 @@ class MeritFigures:
 
 @dataclass(frozen=True)
 class LightFigures:
-    """The written mask at one wavelength."""
+    """The written mask in one light."""
 
     wavelength_nm: float  #: Vacuum wavelength.
     file: str  #: PSF pair of the written mask at the verified depths.
     pair: PairFigures  #: Its figures.
     ideal_efficiency_x: tuple[float, ...]  #: Efficiency of the target phases, for each depth; likewise y.
     ideal_efficiency_y: tuple[float, ...]
-    focus: FocusFigures | None = optional()  #: The focus of a lens; None for other devices.
+    focus: FocusFigures | None = optional()  #: The focus of a lens; None for other devices and at an angle.
+    angle_x_deg: float = 0.0  #: Angle of incidence in the x-z plane, in the medium of incidence.
+    angle_y_deg: float = 0.0  #: Likewise in the y-z plane.
+
+    @property
+    def label(self) -> str:
+        """Wavelength and direction in words."""
+        return light_label(self.wavelength_nm, self.angle_x_deg, self.angle_y_deg)
 
 
 @dataclass(frozen=True)
@@ -126,8 +134,8 @@ class LightsFigures:
     lights: tuple[LightFigures, ...]  #: In the order of the design.
 
     def warnings(self) -> list[str]:
-        """Return a sentence for each wavelength whose light misses the window."""
-        return [f"at {each.wavelength_nm:g} nm {text}" for each in self.lights for text in each.pair.warnings()]
+        """Return a sentence for each light that misses the window."""
+        return [f"at {each.label} {text}" for each in self.lights for text in each.pair.warnings()]
 
 
 @dataclass(frozen=True)
@@ -301,16 +309,18 @@ def _space_variance(imaging: Imaging, written: Psf) -> SpaceVarianceFigures | No
 
 
 def _light_path(job: Job, light: Light) -> Path:
-    return job.folder / f"psf_{light.wavelength_nm:.12g}nm.h5"
+    angles = "".join(f"_{axis[6]}{angle:.12g}deg" for axis, angle in light.angles_deg.items())
+    return job.folder / f"psf_{light.wavelength_nm:.12g}nm{angles}.h5"
 
 
 def _at_light(job: Job, light: Light) -> LightFigures:
     from metafab.optics import Imaging
 
     alone, mask_path = job.at_light(light), mask_paths(job)[-1]
-    (written, light_at_um), (ideal, _) = (point_spread(alone, path) for path in (mask_path, None))
+    tangent = light_tangent(alone.design, light) if light.angles_deg else None
+    (written, light_at_um), (ideal, _) = (point_spread(alone, path, tangent=tangent) for path in (mask_path, None))
     save_psf(alone, written, mask_path, _light_path(job, light))
-    is_focus = alone.design.is_lens
+    is_focus = alone.design.is_lens and tangent is None
     return LightFigures(
         wavelength_nm=light.wavelength_nm,
         file=_light_path(job, light).name,
@@ -318,6 +328,8 @@ def _at_light(job: Job, light: Light) -> LightFigures:
         ideal_efficiency_x=tuple(ideal.efficiency[0].tolist()),
         ideal_efficiency_y=tuple(ideal.efficiency[1].tolist()),
         focus=focus_figures(alone, Imaging.of(alone.design), mask_path) if is_focus else None,
+        angle_x_deg=light.angle_x_deg,
+        angle_y_deg=light.angle_y_deg,
     )
 
 

@@ -257,6 +257,7 @@ def point_spread(
     centre_um: tuple[float, float] | None = None,
     printed: Printed | None = None,
     sizes: Path | None = None,
+    tangent: tuple[float, float] | None = None,
 ) -> tuple[Psf, Places | None]:
     """PSF pair of a written file, or of the target phases, and where its light is if a window misses it.
 
@@ -271,6 +272,7 @@ def point_spread(
         centre_um: centre of the window on the sensor, um from the axis; None for the image point of the design.
         printed: pillars as ``[process]`` makes them; None for those of the file.
         sizes: table of measured sizes (:func:`metafab.optics.sources.measured.with_measured_sizes`); None for none.
+        tangent: direction (x/z, y/z) of the object at every depth, in place of ``object_mm``.
 
     Raises:
         InputError: a file cannot be used, or an object at infinity has a position.
@@ -296,7 +298,7 @@ def point_spread(
     # On the axis, all depths lie in one direction and share one pass over the pillars.
     numerics = optics.PsfNumerics(window_px, target_error, filter_fwhm_nm(job.design), verify.vectorial)
     passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
-    tangents = [(1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
+    tangents = [tangent or (1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
     stacks = [
         optics.psf(source, imaging, depths, numerics, tangent=tangent, work=job.work)
         for depths, tangent in zip(passes, tangents, strict=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from metafab.core.errors import Fault, InputError
 from metafab.spec import Design, Scene
-from metafab.steps.job import Job, Step
+from metafab.steps.job import Job, Step, light_tangent
 
 
 @dataclass(frozen=True)
@@ -35,6 +35,11 @@ def preflight(design: Design) -> None:
         except InputError as error:
             faults += error.faults
     faults += _depths_without_image(design)
+    for light in design.light:
+        try:
+            light_tangent(design, light)
+        except InputError as error:
+            faults += error.faults
     if design.has_mask:
         faults += _unreachable_rules(design)
         faults += _proximity_classes(design)
@@ -120,11 +125,16 @@ def _objects_outside_view(design: Design, scene: Scene) -> list[Fault]:
 def _preflight(job: Job) -> PreflightFigures:
     from metafab import mask
     from metafab.cell.open_orders import open_orders
+    from metafab.library.axes import incidence
 
     preflight(job.design)
-    cells = [(f"at {x.wavelength_nm:g} nm, ", job.at_light(x).design.unit_cell) for x in job.design.light]
-    cells = cells or [("", job.design.unit_cell)]
-    orders = [at + each.sentence() for at, cell in cells if job.design.has_mask for each in open_orders(cell)]
+    lights = [(f"at {x.label}, ", job.at_light(x).design.unit_cell, incidence(x.angles_deg)) for x in job.design.light]
+    orders = [
+        at + each.sentence()
+        for at, cell, angles in lights or [("", job.design.unit_cell, {})]
+        if job.design.has_mask
+        for each in open_orders(cell, **angles)
+    ]
     return PreflightFigures((*orders, *mask.announcement(job.design)))
 
 

@@ -144,7 +144,7 @@ def psf_command(
 def _at_wavelength(job: Job, wavelength_nm: float) -> Job:
     """The job at one of the wavelengths that its design serves."""
     for light in job.design.light:
-        if light.wavelength_nm == wavelength_nm:
+        if light.wavelength_nm == wavelength_nm and not light.angles_deg:
             return job.at_light(light)
     listed = ", ".join(f"{light.wavelength_nm:g}" for light in job.design.light)
     expected = f"a wavelength of the design's `light` tables ({listed or 'it has none'})"

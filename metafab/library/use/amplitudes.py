@@ -6,7 +6,10 @@ import math
 
 import numpy as np
 
+from metafab.cell import pillar_cell
+from metafab.cell.response import power_ratio
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.library.axes import incidence
 from metafab.library.library import Library
 from metafab.library.surface import SizeResponse
 from metafab.materials import refractive_index
@@ -21,10 +24,14 @@ def half_space_indices(unit_cell: UnitCell) -> tuple[ComplexArray, ComplexArray]
     return (substrate, ambient) if light.side == "substrate" else (ambient, substrate)
 
 
+def power_ratio_of(library: Library) -> FloatArray:
+    """Return the zero-order power transmittance of t = 1 at the library's angle of incidence, shape (2,), x and y."""
+    return power_ratio(pillar_cell(library.unit_cell, 0.0, 0.0, **incidence(library.corner)))
+
+
 def power_transmittance(library: Library) -> FloatArray:
-    """Return the zero-order power transmittance |t|^2 n_out / n_in, shape (n_length, n_width, 2), for x and y."""
-    n_in, n_out = half_space_indices(library.unit_cell)
-    return np.asarray(np.abs(library.t) ** 2 * (n_out.real / n_in.real), dtype=np.float64)
+    """Return the zero-order power transmittance of all sizes, shape (n_length, n_width, 2), for x and y."""
+    return np.asarray(np.abs(library.t) ** 2 * power_ratio_of(library), dtype=np.float64)
 
 
 def empty_cell_t(unit_cell: UnitCell) -> ComplexArray:
@@ -40,17 +47,19 @@ def empty_cell_t(unit_cell: UnitCell) -> ComplexArray:
 
 
 def power_amplitudes(library: Library, width_nm: FloatArray, length_nm: FloatArray) -> ComplexArray:
-    """Return t sqrt(n_out / n_in) of n upright pillars of the library's grid, zero order: shape (n, 2), for x and y.
+    """Return t of n upright pillars of the library's grid, as square root of power: shape (n, 2), for x and y.
 
     A size that the library does not hold raises InputError.
     """
-    return power_normalised(library.at_sizes(width_nm, length_nm), library.unit_cell)
+    return power_normalised(library.at_sizes(width_nm, length_nm), library)
 
 
-def power_normalised(response: SizeResponse, unit_cell: UnitCell) -> ComplexArray:
-    """Return t sqrt(n_out / n_in) of n upright pillars, zero order: shape (n, 2), for x and y polarisation."""
-    n_in, n_out = half_space_indices(unit_cell)
-    return np.stack([response.t_xx, response.t_yy], axis=-1) * np.sqrt(n_out.real / n_in.real)
+def power_normalised(response: SizeResponse, library: Library) -> ComplexArray:
+    """Return t sqrt(n_out / n_in) of n upright pillars, zero order: shape (n, 2), for x and y polarisation.
+
+    At an angle of incidence the admittances of tangential E stand for the indices.
+    """
+    return np.stack([response.t_xx, response.t_yy], axis=-1) * np.sqrt(power_ratio_of(library))
 
 
 def turned_jones(amplitudes: ComplexArray, angle_deg: FloatArray) -> ComplexArray:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray, wrap_phase
 from metafab.library.library import Library
-from metafab.library.use.amplitudes import empty_cell_t
+from metafab.library.use.amplitudes import empty_cell_t, half_space_indices, power_ratio_of
 from metafab.library.use.lookup import SizeTable, trust
 
 #: Starts of the search for constant phases, and most alternations of each.
@@ -52,7 +52,10 @@ class SizesOfLights:
             t = np.stack([found.t_xx, found.t_yy], axis=-1)
             of_light = np.concatenate([empty_cell_t(library.unit_cell)[None], t])
             tables.append(replace(table, t=of_light, error=np.concatenate([[0.0], found.error])))
-            weighted = weight * t * trust(t, found.error, library.unit_cell.sweep.target_error)
+            # Slanting light counts by the power that it carries along z.
+            n_in, n_out = half_space_indices(library.unit_cell)
+            slanting = np.sqrt(power_ratio_of(library) / (n_out.real / n_in.real))
+            weighted = weight * slanting * t * trust(t, found.error, library.unit_cell.sweep.target_error)
             fields.append(np.stack([weighted.real, weighted.imag], axis=-1).reshape(len(t), 4))
         return cls(tuple(tables), np.concatenate(fields, axis=1))
 

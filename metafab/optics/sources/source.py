@@ -163,7 +163,7 @@ def made_field(pillars: PillarMap, library: Library, executor: Executor | None =
     The executor solves sizes beyond the library's sweep. InputError if too many sizes lie beyond the sweep.
     """
     response = response_of_sizes(library, pillars.size_nm()[1:], executor)
-    return _with_dark(pillars, power_normalised(response, library.unit_cell))
+    return _with_dark(pillars, power_normalised(response, library))
 
 
 def _with_dark(pillars: PillarMap, table: ComplexArray) -> WrittenField:

@@ -96,10 +96,10 @@ def _focus(focus: FocusFigures) -> str:
 
 
 def _lights(figures: LightsFigures) -> str:
-    """Efficiency and focus at each wavelength that the mask serves."""
+    """Efficiency and focus in each light that the mask serves."""
     rows = [
         [
-            f"{light.wavelength_nm:g}",
+            light.label,
             _share(0.5 * sum(pair[0] for pair in (light.pair.efficiency_x, light.pair.efficiency_y))),
             _share(0.5 * (light.ideal_efficiency_x[0] + light.ideal_efficiency_y[0])),
             *(
@@ -114,12 +114,12 @@ def _lights(figures: LightsFigures) -> str:
         ]
         for light in figures.lights
     ]
-    head = ["wavelength / nm", "efficiency", "of the target phases", "FWHM / µm", "limit / µm", "Strehl ratio"]
+    head = ["light", "efficiency", "of the target phases", "FWHM / µm", "limit / µm", "Strehl ratio"]
     text = (
-        "Wavelengths that the mask serves, at the first depth, mean of both polarisations. Efficiency: share of the "
-        "light at the aperture in the window."
+        "Wavelengths and directions that the mask serves, at the first depth, mean of both polarisations. Efficiency: "
+        "share of the light at the aperture in the window."
     )
-    return html.table(head, rows, ["n"] * len(head)) + html.paragraph(text, "caption")
+    return html.table(head, rows, ["", *["n"] * (len(head) - 1)]) + html.paragraph(text, "caption")
 
 
 def _both(first: float, second: float) -> str:

@@ -8,6 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from metafab.spec import Design, Light
+from metafab.spec.cell import Axes
 from metafab.spec.design import Optics
 from metafab.spec.terms import Lens
 from tests.main_job import SMALL, metafab
@@ -18,7 +19,9 @@ OWN, OTHER = Light(800.0), Light(700.0)
 def test_several_lights_are_checked(small_design: Design) -> None:
     assert replace(small_design, light=(OTHER, OWN)).light[0].weight == 1.0
     for lights in ((OWN,), (OTHER,), (OWN, OWN), (OTHER, Light(750.0))):
-        with pytest.raises(ValidationError, match="two or more different wavelengths, the 800 nm of the unit cell"):
+        with pytest.raises(
+            ValidationError, match="two or more different wavelengths or directions, the 800 nm of the unit cell"
+        ):
             replace(small_design, light=lights)
     with pytest.raises(ValidationError, match=r"leave out `light\.phase`"):
         replace(small_design, light=(OTHER, Light(800.0, phase=(Lens(),))))
@@ -28,6 +31,25 @@ def test_several_lights_are_checked(small_design: Design) -> None:
         replace(small_design, light=(OTHER, OWN), optics=Optics(neighbours=True))
     with pytest.raises(ValidationError, match="phase"):
         Light(700.0, phase=())
+
+
+def test_light_at_an_angle_needs_an_axis_of_the_library(small_design: Design) -> None:
+    slanting = Light(800.0, angle_x_deg=-6.0)
+    assert slanting.label == "800 nm, -6 deg in x-z"
+    with pytest.raises(ValidationError, match=r"needs a `sweep\.axes\.angle_x_deg` that holds 6, got none"):
+        replace(small_design, light=(OWN, slanting))
+    cell = small_design.unit_cell
+    swept = replace(cell, sweep=replace(cell.sweep, axes=Axes(angle_x_deg=(0.0, 8.0))), neighbours=None)
+    design = replace(small_design, unit_cell=swept, light=(OWN, slanting, Light(800.0, angle_x_deg=6.0)))
+    assert design.at_light(slanting).unit_cell == swept
+    for light, message in (
+        (Light(800.0, angle_x_deg=9.0), r"holds 9, got \[0, 8\]"),
+        (Light(700.0, angle_x_deg=5.0), "`sweep.axes.wavelength_nm` that holds 700, got none"),
+        (Light(800.0, angle_y_deg=5.0), "`sweep.axes.angle_y_deg`"),
+        (slanting, "different wavelengths or directions"),
+    ):
+        with pytest.raises(ValidationError, match=message):
+            replace(design, light=(OWN, slanting, light))
 
 
 def test_a_light_has_its_wavelength_and_its_own_phase(small_design: Design) -> None:

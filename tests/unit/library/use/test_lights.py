@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metafab.cell import pillar_cell
 from metafab.core.conventions import FloatArray
 from metafab.library import Library, build_size_table
+from metafab.library.use.amplitudes import power_ratio_of, power_transmittance
 from metafab.library.use.lights import SizesOfLights
 
 LIGHTS = 3
@@ -57,6 +59,28 @@ def test_each_site_gets_the_best_of_all_sizes(sizes: SizesOfLights) -> None:
         every = weighted_overlaps(sizes, targets[(..., *place)])
         assert overlap[place] == pytest.approx(every.max(), abs=1e-12)
         assert every[index[place] - 1] == pytest.approx(every.max(), abs=1e-12)
+
+
+@pytest.mark.parametrize("axis", ["angle_x_deg", "angle_y_deg"])
+def test_slanting_light_counts_by_its_power(axis: str, smooth_library: Library) -> None:
+    """Power along z per |E|^2 in the surface is n / cos for p polarised light and n cos for s, on both sides."""
+    slanting = replace(smooth_library, corner={axis: 25.0})
+    cell = pillar_cell(smooth_library.unit_cell, 0.0, 0.0)
+    n_in, n_out = (complex(n[0]).real for n in (cell.n_in, cell.n_out))
+    inside, outside = (math.sqrt(1.0 - (n_in / n * math.sin(math.radians(25.0))) ** 2) for n in (n_in, n_out))
+    p, s = (n_out / outside) / (n_in / inside), (n_out * outside) / (n_in * inside)
+    ratio = np.array([p, s] if axis == "angle_x_deg" else [s, p])
+    assert power_ratio_of(slanting) == pytest.approx(ratio, rel=1e-12)
+    assert power_transmittance(slanting) == pytest.approx(np.abs(slanting.t) ** 2 * ratio)
+    table = build_size_table(smooth_library, database_unit_nm=0.5, cells=2)
+    sizes = SizesOfLights.of(table, [smooth_library, slanting], (1.0, 1.0))
+    targets = np.random.default_rng(4).uniform(-math.pi, math.pi, (2, 2, 30))
+    chosen = sizes.best(targets)[0]
+    assert np.any(chosen != SizesOfLights.of(table, [smooth_library] * 2, (1.0, 1.0)).best(targets)[0])
+    for site in range(30):
+        along, aslant = ((table.t[1:] * np.exp(-1j * at)).real for at in targets[..., site])
+        every = (along + np.sqrt(ratio * n_in / n_out) * aslant).sum(axis=1)
+        assert every[chosen[site] - 1] == pytest.approx(every.max(), abs=1e-12)
 
 
 def test_a_single_light_is_mapped_as_by_the_table(smooth_library: Library) -> None:

@@ -86,5 +86,5 @@ def test_each_wavelength_of_a_mask_stands_in_full(tmp_path: Path, smooth_library
     lights = LightsFigures(tuple(LightFigures(each, "psf.h5", pair, (0.9,), (0.8,)) for each in wavelengths))
     page = point_spread(replace(run, summary=replace(run.summary, lights=lights)), {})
     share = f"{0.5 * (pair.efficiency_x[0] + pair.efficiency_y[0]):.3f}"
-    for cell in ("1549.6", "1550.4", "632.8", share, "0.850"):
+    for cell in ("1549.6 nm", "1550.4 nm", "632.8 nm", share, "0.850"):
         assert f">{cell}</td>" in page
