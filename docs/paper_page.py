@@ -1,7 +1,8 @@
 """Table and picture of the page that sets the paper beside metafab, from finished runs.
 
-``python docs/paper_page.py`` reads ``runs/helix_2mm`` (and ``helix_outdoor``, ``helix_5cm`` and ``comparison.json`` in
-the first, where they are) and writes ``docs/paper_table.inc`` and ``docs/paper.png``.
+``python docs/paper_page.py`` reads ``runs/helix_2mm`` (and ``helix_outdoor``, ``helix_5cm``, ``people`` with the frame
+and the decoding of ``layouts/scenes/people.toml``, and ``comparison.json`` in the first, where they are) and writes
+``docs/paper_table.inc`` and ``docs/paper.png``.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from metafab.phase import profile_of
 from metafab.spec import load_design
 
 ROOT = Path(__file__).parents[1]
+#: Other scenes: folder of the run, and title.
+OTHERS = {"helix_outdoor": "cars outdoors", "people": "people outdoors", "helix_5cm": "5 cm at 200 m"}
 #: Decodings of which the fastest is stated.
 REPEATS = 5
 
@@ -45,7 +48,7 @@ def main() -> None:
     table = rows(found, seconds, _json(comparison) if comparison.is_file() else None)
     lines += [re.sub(r"(\d)%", r"\1 %", "| " + " | ".join(row) + " |") for row in table]
     (arguments.output / "paper_table.inc").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    picture(arguments.runs / "helix_2mm", arguments.library, found["helix_2mm"], arguments.output / "paper.png")
+    picture(arguments.runs, arguments.library, found["helix_2mm"], arguments.output / "paper.png")
 
 
 def decoding_s(run: Path) -> float:
@@ -137,16 +140,20 @@ def rows(
     return table
 
 
-def picture(run: Path, library: Path, summary: dict[str, Any], path: Path) -> None:
-    """Maps of the library, target phases, orientation over depth, PSFs, and the decoded scene."""
+def picture(runs: Path, library: Path, summary: dict[str, Any], path: Path) -> None:
+    """Maps of the library, target phases, orientation over depth, PSFs, the decoded scene, and other scenes' depths."""
+    run, further = runs / "helix_2mm", [name for name in OTHERS if (runs / name / "decoded.h5").is_file()]
     plt.rcParams.update({"font.size": 8})
-    figure = plt.figure(figsize=(11.0, 8.4), layout="constrained")
-    top, middle, bottom = figure.subfigures(3, 1, height_ratios=(1.0, 1.15, 1.0))
+    figure = plt.figure(figsize=(11.0, 9.4 if further else 8.4), layout="constrained")
+    ratios = (1.0, 1.15, 0.75, 0.65)[: 4 if further else 3]
+    top, middle, bottom, *last = figure.subfigures(len(ratios), 1, height_ratios=ratios)
     maps(top.subplots(1, 4), library, run)
     left, right = middle.subfigures(1, 2, width_ratios=(1.0, 2.0))
     orientation(left.subplots(), summary)
     pairs(right.subplots(2, DEPTHS), run)
     scene(bottom.subplots(1, 4), run)
+    if further:
+        others(last[0].subplots(1, 2 * len(further), squeeze=False)[0], runs, further)
     figure.savefig(path, dpi=90, facecolor="white")
 
 
@@ -200,6 +207,19 @@ def scene(places: np.ndarray, run: Path) -> None:
         drawn = place.imshow(values, origin="lower", vmin=low, vmax=high, cmap=colour)
         place.set(title=title, xticks=[], yticks=[])
         plt.colorbar(drawn, ax=place, shrink=0.6)
+
+
+def others(places: np.ndarray, runs: Path, names: list[str]) -> None:
+    """Image and depth of the other scenes."""
+    for place, at, name in zip(places[::2], places[1::2], names, strict=True):
+        with h5py.File(runs / name / "decoded.h5") as file:
+            # The image is upside down.
+            light, depth_m = (file[key][::-1, ::-1] for key in ("intensity_x", "depth_m"))
+        place.imshow(light, origin="lower", vmin=0.0, vmax=np.nanpercentile(light, 99.8), cmap="gray")
+        drawn = at.imshow(depth_m, origin="lower", cmap="viridis")
+        plt.colorbar(drawn, ax=at, shrink=0.6)
+        place.set(title=f"{OTHERS[name]}: I_x", xticks=[], yticks=[])
+        at.set(title="depth / m", xticks=[], yticks=[])
 
 
 def _json(path: Path) -> dict[str, Any]:

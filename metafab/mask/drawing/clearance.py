@@ -31,6 +31,24 @@ def require_clear_of_lenses(design: Design, key: str, boxes: IntArray, name: str
             raise InputError.single(design.name, f"{key}.at_um", "a place beside the lenses", got, "move it")
 
 
+def require_within_frame(design: Design, key: str, boxes: IntArray, remedy: str) -> None:
+    """Refuse boxes of a table ``key`` of the design, shape (n, 4), beyond frame and dicing street: InputError."""
+    chip = design.mask.chip
+    if chip is None or not (chip.frame_um or chip.street_um):
+        return
+    at = np.array([(copy.x_dbu, copy.y_dbu) for copy in lens_copies(design)])
+    margin = aperture_dbu(design) // 2 + 2 * round(chip.margin_um * 5e2 / design.mask.database_unit_nm)
+    low, high = at.min(axis=0) - margin, at.max(axis=0) + margin
+    for box in boxes[((boxes[:, :2] < low) | (boxes[:, 2:] > high)).any(axis=1)][:1]:
+        um = design.mask.database_unit_nm * 1e-3
+        inner, outer = (
+            "x from {:g} to {:g} um and y from {:g} to {:g} um".format(*(um * np.array(sides)[[0, 2, 1, 3]]))
+            for sides in ((*low, *high), box)
+        )
+        expected = f"a place within the frame, {inner}"
+        raise InputError.single(design.name, f"{key}.at_um", expected, outer, remedy)
+
+
 def require_apart(design: Design, key: str, boxes: IntArray, others: IntArray, name: str) -> None:
     """Refuse boxes of a table ``key`` of the design, shape (n, 4), that touch ``others``, shape (m, 4): InputError."""
     for left, bottom, right, top in boxes.tolist():

@@ -6,6 +6,7 @@ paths become their outlines. Layers are renamed by a table. Texts draw nothing; 
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 
 from metafab.core.errors import InputError
 from metafab.layout.geometry import whole_dbu
-from metafab.mask.drawing.clearance import boxes_of, require_apart, require_clear_of_lenses
+from metafab.mask.drawing.clearance import boxes_of, require_apart, require_clear_of_lenses, require_within_frame
 from metafab.mask.drawing.surroundings import Surroundings, surroundings
 from metafab.mask.shapes.hierarchy import IntArray
 from metafab.spec import Design
@@ -23,6 +24,8 @@ from metafab.spec.mask import Include
 
 #: Corners that every GDSII reader takes, and largest distance of a corner from the grid (database units).
 _MOST_CORNERS, _ON_GRID = 8190, 1e-3
+#: Shapes that a cell may expand to unless `limits.shapes` is stated: about 1 kB each.
+_MOST_SHAPES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,8 @@ def included_cells(design: Design, around: tuple[Surroundings, ...]) -> tuple[In
     """Read the cells of ``mask.include``, which must not touch the shapes ``around`` the lenses.
 
     InputError if a file or a cell is missing, a corner lies off the grid, a layer holds pillars, field, or chip
-    features, or a polygon touches a lens, another feature, or another included cell.
+    features, or a polygon touches a lens, another feature, or another included cell, or lies beyond frame and dicing
+    street without ``beyond_street``; or a cell that contains itself, or holds more shapes than the limit.
     """
     cells = tuple(_read(design, number, item) for number, item in enumerate(design.mask.include, start=1))
     for number, cell in enumerate(cells, start=1):
@@ -81,6 +85,9 @@ def included_cells(design: Design, around: tuple[Surroundings, ...]) -> tuple[In
             require_apart(design, key, boxes, boxes_of(layer.rectangles), layer.name)
         for other, before in enumerate(cells[: number - 1], start=1):
             require_apart(design, key, boxes, before.boxes, f"mask.include[{other}]")
+        if not design.mask.include[number - 1].beyond_street:
+            remedy = "move it, widen `mask.chip.margin_um`, or state `beyond_street = true` for shapes of the wafer"
+            require_within_frame(design, key, boxes, remedy)
     return cells
 
 
@@ -100,6 +107,10 @@ def _read(design: Design, number: int, item: Include) -> IncludedCell:
     shift = np.array([whole_dbu(at_um * 1e3, unit_nm, f"{key}.at_um") for at_um in item.at_um])
     per_unit = library.unit * 1e9 / unit_nm
     polygons, present = [], set()
+    most = design.stated_limits.get("shapes") or _MOST_SHAPES
+    if (count := _shapes(found[name], {})) > most:
+        remedy = "include a smaller cell, or raise `limits.shapes`"
+        raise InputError.single(design.name, f"{key}.file", f"at most {most:g} shapes", f"{count:.3g}", remedy)
     for polygon in found[name].get_polygons(apply_repetitions=True, include_paths=True):
         exact = np.asarray(polygon.points) * per_unit
         corners = np.rint(exact).astype(np.int64)
@@ -121,6 +132,19 @@ def _read(design: Design, number: int, item: Include) -> IncludedCell:
         expected = f"layers of cell {name}: {', '.join(sorted(present))}"
         raise InputError.single(design.name, f"{key}.layers", expected, ", ".join(absent))
     return IncludedCell(item.file.name, name, tuple(polygons), len(found[name].get_labels()))
+
+
+def _shapes(cell: gdstk.Cell, counts: dict[str, float]) -> float:
+    """Shapes of a cell with all references and repetitions expanded; infinite for one that contains itself.
+
+    ``counts`` holds those of cells that are counted, and infinity for those that are being counted.
+    """
+    if cell.name not in counts:
+        counts[cell.name] = math.inf
+        drawn = [(part, 1.0) for part in (*cell.polygons, *cell.paths)]
+        drawn += [(part, _shapes(part.cell, counts)) for part in cell.references if isinstance(part.cell, gdstk.Cell)]
+        counts[cell.name] = sum(max(1, part.repetition.size) * each for part, each in drawn)
+    return counts[cell.name]
 
 
 def _opened(design: Design, key: str, path: Path) -> gdstk.Library:

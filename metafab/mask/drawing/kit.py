@@ -9,7 +9,7 @@ import numpy as np
 
 from metafab.core.errors import InputError
 from metafab.layout.geometry import whole_dbu
-from metafab.mask.drawing.clearance import boxes_of, require_apart, require_clear_of_lenses
+from metafab.mask.drawing.clearance import boxes_of, require_apart, require_clear_of_lenses, require_within_frame
 from metafab.mask.shapes.hierarchy import IntArray
 from metafab.spec import Design
 from metafab.spec.mask import CdBars, Grating, Kit, Overlay, Vernier
@@ -52,13 +52,11 @@ def require_clear_kit(
     design: Design,
     structures: Sequence[Structure],
     around: Sequence[tuple[str, IntArray]],
-    inner: tuple[int, int, int, int] | None = None,
 ) -> None:
     """Refuse structures that are nearer than ``distance_um`` to a lens, to another structure, or to shapes around.
 
     Args:
         around: description and rectangles, shape (n, 4), of each kind of shapes around the lenses.
-        inner: box (left, bottom, right, top) within frame and dicing street, database units; None without them.
 
     Raises:
         InputError: naming both; a structure beyond the frame; or a tone in which bars would be printed as trenches.
@@ -72,14 +70,7 @@ def require_clear_kit(
     distance = round(design.mask.kit.distance_um * 1e3 / design.mask.database_unit_nm)
     for number, structure in enumerate(structures):
         box = structure.box(distance)
-        if inner is not None and (np.any(box[0, :2] < inner[:2]) or np.any(box[0, 2:] > inner[2:])):
-            um = design.mask.database_unit_nm * 1e-3
-            left, bottom, right, top = (f"{side * um:g}" for side in inner)
-            expected = f"a place within the frame, x from {left} to {right} um and y from {bottom} to {top} um"
-            left, bottom, right, top = (f"{side * um:g}" for side in box[0])
-            got = f"x from {left} to {right} um and y from {bottom} to {top} um, with its distance"
-            remedy = "move it, or widen `mask.chip.margin_um`"
-            raise InputError.single(design.name, f"{structure.key}.at_um", expected, got, remedy)
+        require_within_frame(design, structure.key, box, "move it with its distance, or widen `mask.chip.margin_um`")
         require_clear_of_lenses(design, structure.key, box, "the structure with its distance")
         for name, rectangles in around:
             require_apart(design, structure.key, box, boxes_of(rectangles), name)

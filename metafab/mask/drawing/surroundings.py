@@ -46,7 +46,7 @@ def surroundings(design: Design) -> tuple[Surroundings, ...]:
     if design.mask.chip is not None:
         layers += _chip(design, design.mask.chip, copies)
     if design.mask.kit is not None:
-        layers += _kit(design, design.mask.kit, layers, copies)
+        layers += _kit(design, design.mask.kit, layers)
     return tuple(layer for layer in layers if len(layer.rectangles))
 
 
@@ -84,13 +84,10 @@ def _lenses(design: Design, copies: Sequence[LensCopy]) -> _Box:
     return _Box(min(across), min(along), max(across), max(along)).grown(aperture_dbu(design) // 2)
 
 
-def _kit(design: Design, kit: Kit, around: Sequence[Surroundings], copies: Sequence[LensCopy]) -> list[Surroundings]:
+def _kit(design: Design, kit: Kit, around: Sequence[Surroundings]) -> list[Surroundings]:
     """Test structures, and windows around all that the first exposure draws."""
-    structures, chip, inner = kit_structures(design), design.mask.chip, None
-    if chip is not None and (chip.frame_um or chip.street_um):
-        inside = _lenses(design, copies).grown(_dbu(design, chip.margin_um))
-        inner = (inside.left, inside.bottom, inside.right, inside.top)
-    require_clear_kit(design, structures, [(layer.name, layer.rectangles) for layer in around], inner)
+    structures = kit_structures(design)
+    require_clear_kit(design, structures, [(layer.name, layer.rectangles) for layer in around])
     nothing = [np.empty((0, 4), dtype=np.int64)]
     first = np.concatenate([*nothing, *(one.first for one in structures)])
     second = np.concatenate([*nothing, *(one.second for one in structures)])

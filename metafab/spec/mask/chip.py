@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from metafab.spec.fields import CONFIG, Checked, Index, NonNegative, Positive, Real
+from metafab.spec.fields import CONFIG, Checked, Flag, Index, NonNegative, Positive, Real
 
 #: Most dose classes by size or density.
 MOST_CLASSES = 32
@@ -78,6 +78,8 @@ class Include(Checked):
     at_um: tuple[Real, Real] = (0.0, 0.0)  #: Place (x, y) of the cell's origin.
     #: New "layer/datatype" of each "layer/datatype" of the file; others keep theirs.
     layers: dict[str, str] = field(default_factory=dict)
+    #: Whether shapes may lie beyond frame and dicing street, as marks of the wafer do.
+    beyond_street: Flag = False
 
     def _faults(self) -> Iterator[str]:
         for pair in (*self.layers, *self.layers.values()):

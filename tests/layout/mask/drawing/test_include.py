@@ -77,6 +77,36 @@ def test_without_cells_no_byte_changes(tiny: Assignment, tiny_design: Design, tm
         assert one.read_bytes() == two.read_bytes()
 
 
+def test_cells_beyond_the_street_are_stated(tiny: Assignment, tiny_design: Design, shop: Path, tmp_path: Path) -> None:
+    half = 0.5 * tiny_design.device.aperture_um
+    chip = Chip(margin_um=12.0, mark_um=0.0, frame_um=2.0, street_um=5.0, label="", text_um=4.2, scale_bar_um=0.0)
+    outside = Include(shop, "SHOP", at_um=(half + 60.0, 0.0))
+    with pytest.raises(InputError, match=r"within the frame.*beyond_street"):
+        mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, outside, chip=chip))
+    mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, replace(outside, beyond_street=True), chip=chip))
+
+
+@pytest.mark.parametrize("itself", [False, True])
+def test_cells_that_expand_to_too_much_are_refused(
+    itself: bool, tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    """Four nested arrays of 100 x 100 are 1e16 shapes; a cell that contains itself has no end."""
+    library = gdstk.Library()
+    below = library.new_cell("A0").add(gdstk.rectangle((0, 0), (1, 1), layer=20))
+    for number in range(1, 5):
+        array = gdstk.Reference(below, columns=100, rows=100, spacing=(2.0, 2.0))
+        below = library.new_cell(f"A{number}").add(array)
+    if itself:
+        library.cells[0].add(gdstk.Reference(below))
+    path = tmp_path / "bomb.gds"
+    library.write_gds(path)
+    item = Include(path, "A4", at_um=(100.0, 0.0))
+    with pytest.raises(
+        InputError, match="at most 1e\\+06 shapes.*inf" if itself else "at most 1e\\+06 shapes.*1e\\+16"
+    ):
+        mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, item))
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [
