@@ -214,7 +214,7 @@ def others(places: np.ndarray, runs: Path, names: list[str]) -> None:
     for place, at, name in zip(places[::2], places[1::2], names, strict=True):
         with h5py.File(runs / name / "decoded.h5") as file:
             # The image is upside down.
-            light, depth_m = (file[key][::-1, ::-1] for key in ("intensity_x", "depth_m"))
+            light, depth_m = (file[key][:][::-1, ::-1] for key in ("intensity_x", "depth_m"))
         place.imshow(light, origin="lower", vmin=0.0, vmax=np.nanpercentile(light, 99.8), cmap="gray")
         drawn = at.imshow(depth_m, origin="lower", cmap="viridis")
         plt.colorbar(drawn, ax=at, shrink=0.6)
