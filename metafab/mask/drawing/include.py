@@ -141,9 +141,9 @@ def _shapes(cell: gdstk.Cell, counts: dict[str, float]) -> float:
     """
     if cell.name not in counts:
         counts[cell.name] = math.inf
-        drawn = [(part, 1.0) for part in (*cell.polygons, *cell.paths)]
-        drawn += [(part, _shapes(part.cell, counts)) for part in cell.references if isinstance(part.cell, gdstk.Cell)]
-        counts[cell.name] = sum(max(1, part.repetition.size) * each for part, each in drawn)
+        below = [(part, _shapes(part.cell, counts)) for part in cell.references if isinstance(part.cell, gdstk.Cell)]
+        counts[cell.name] = sum(max(1, part.repetition.size) for part in (*cell.polygons, *cell.paths))
+        counts[cell.name] += sum(max(1, part.repetition.size) * each for part, each in below)
     return counts[cell.name]
 
 
