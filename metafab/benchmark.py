@@ -31,6 +31,7 @@ ROOMS = (
     "scenes",
     "films",
     "files",
+    "faults",
     "end_to_end",
     "targets",
     "floor",
@@ -42,6 +43,7 @@ ROOM_OPTIONS = {
     "certificates": ("seed", "samples"),
     "files": ("seed", "samples"),
     "films": ("samples",),
+    "faults": ("seed", "samples"),
 }
 #: Name of a room's row that sums up all others.
 ALL_CASES = "all answers"

@@ -25,11 +25,12 @@ from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.cell.response import CellNumerics, CellResponse, SolverDetails
 from metafab.core.errors import SolverError
 
-#: Polynomial order -> (floor, share) of the bound.
-_CLAIMS = {4: (1e-3, 0.5), 5: (5e-4, 2.0), 6: (2e-4, 1.5), 7: (1e-4, 1.5), 8: (6e-5, 1.5), 9: (4e-5, 1.5)}
+#: Polynomial order -> (floor, share) of the bound. Beside a resonance the error of order 4 was once 0.99 of the change
+#: from order 3, in a pillar of index 4.1 under two films.
+_CLAIMS = {4: (1e-3, 1.5), 5: (5e-4, 2.0), 6: (2e-4, 1.5), 7: (1e-4, 1.5), 8: (6e-5, 1.5), 9: (4e-5, 1.5)}
 #: The same of rounded rectangles. On 56 random ones the error of order 4 was at most 0.21 of the change from order 3
-#: where that exceeds 1e-3, but 0.42 to 0.45 on three resonances.
-_CLAIMS_ROUNDED = {**_CLAIMS, 4: (6e-4, 0.75), 5: (2.5e-4, 0.75)}
+#: where that exceeds 1e-3, but 0.42 to 0.45 on three resonances; that of order 5 up to 0.53 of the change from order 4.
+_CLAIMS_ROUNDED = {**_CLAIMS, 4: (6e-4, 1.0), 5: (2.5e-4, 1.0)}
 #: The same of rings. On 15 random ones the errors of orders 4, 5 and 6 against order 8 were at most 0.53, 0.68 and 2.1
 #: of the last change.
 _CLAIMS_RING = {**_CLAIMS, 4: (6e-4, 0.75), 5: (4e-4, 1.0), 6: (4e-4, 2.5), 7: (2e-4, 2.5)}

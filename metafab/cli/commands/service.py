@@ -36,7 +36,8 @@ def benchmark_command(
         int | None, typer.Option("--seeds", min=1, metavar="N", help="Seeds of each case of `scenes` [default: 5].")
     ] = None,
     seed: Annotated[
-        int | None, typer.Option("--seed", min=0, metavar="S", help="Seed of `certificates` and `files` [default: 0].")
+        int | None,
+        typer.Option("--seed", min=0, metavar="S", help="Seed of `certificates`, `files` and `faults` [default: 0]."),
     ] = None,
     samples: Annotated[
         int | None,
@@ -45,7 +46,7 @@ def benchmark_command(
             min=1,
             metavar="N",
             help="Answers of `certificates` [default: 300] or `files` [default: 2000], frames of `films` [default: "
-            "10000].",
+            "10000], kills of `faults` [default: 40].",
         ),
     ] = None,
     json_: Json = False,

@@ -87,5 +87,5 @@ def test_the_command_counts_the_broken(tmp_path: Path) -> None:
     assert table["samples"] == 4 and table["broken"] == 0 and 0.0 < table["worst_ratio"] < 1.0
     kinds = [row for row in table["rows"] if row["name"] in KINDS]
     assert sum(row["samples"] for row in kinds) == 4
-    with pytest.raises(InputError, match="certificates or files or films with --samples"):
+    with pytest.raises(InputError, match="certificates or files or films or faults with --samples"):
         rows_of("psf", samples=6)
