@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
+from dataclasses import replace
 from functools import partial
 
 from metafab.cell import curved, rcwa
@@ -106,7 +107,8 @@ def _refuse_for_rcwa(cell: PillarCell, numerics: CellNumerics) -> None:
     faults = cell.untreated("a hexagonal lattice", treated=("is_staggered", "shape, corner_radius_nm"))
     if cell.is_shaped:
         # Curved outlines have the elements alone.
-        faults = curved.untreated(cell)
+        remedy = "rings, and round pillars of a hexagonal lattice, are solved by spectral elements alone"
+        faults = [replace(fault, remedy=remedy) for fault in curved.untreated(cell)]
         if numerics.formulation != "adaptive":
             faults.append(
                 Fault(

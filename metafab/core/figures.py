@@ -84,7 +84,7 @@ class MappingFigures:
             return []
         share = 100.0 * self.doubtful_pillars / self.pillars
         return [
-            f"{share:.2g} % of the pillars have sizes beyond the library's target error, known to "
+            f"{share:.3g} % of the pillars have sizes beyond the library's target error, known to "
             f"{self.worst_library_error:.2g} at worst; no other size serves these phases as well"
         ]
 

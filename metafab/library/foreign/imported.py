@@ -126,7 +126,8 @@ def _samples(
 
 def _exchanged(table: SweepTable, unit_cell: UnitCell, path: Path) -> tuple[FloatArray, ComplexArray, ComplexArray]:
     """Sizes and both amplitudes of a file with t_xx alone: t_yy(W, L) is t_xx(L, W) where x and y may be exchanged."""
-    if table.circles and is_square(unit_cell):
+    substrate = pillar_cell(unit_cell, 0.0, 0.0).n_substrate
+    if table.circles and (is_square(unit_cell) or (unit_cell.cell.is_hexagonal and substrate[0] == substrate[1])):
         return table.size_nm, table.t_xx, table.t_xx
     by_size = {(w, h): t for (w, h), t in zip(table.size_nm.tolist(), table.t_xx, strict=True)}
     pairs = [(size, by_size.get((size[1], size[0]))) for size in by_size]

@@ -117,6 +117,10 @@ def test_diameters_make_a_library_of_circles(cell: UnitCell, tmp_path: Path) -> 
     on_grid = found.t_xx[0].diagonal()
     assert on_grid == pytest.approx(_t(found.width_nm, found.width_nm), abs=5e-3)
     assert np.array_equal(on_grid, found.t_yy[0].diagonal())
+    # In a hexagonal lattice, too, one amplitude serves both polarisations.
+    geometry = replace(cell.cell, shape="ring", wall_nm=20.0, lattice="hexagonal", period_nm=(350.0, 303.0))
+    rings = import_sweep(path, replace(cell, cell=geometry), quantity="field")
+    assert np.array_equal(rings.t_yy[0].diagonal(), on_grid)
 
 
 def test_sizes_outside_the_samples_stay_unknown(cell: UnitCell, tmp_path: Path) -> None:
