@@ -71,6 +71,10 @@ class MappingFigures:
     neighbour_efficiency: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     #: The same of the sizes that suit lone pillars best.
     neighbour_efficiency_before: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
+    #: Rms phase error of the field among neighbours, averaged along rows over about a period, with the chosen sizes.
+    neighbour_phase_rms_error_rad: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
+    #: The same of the sizes that suit lone pillars best.
+    neighbour_phase_rms_error_before_rad: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     #: Error bound of the library in complex t, rms over the pillars.
     library_error: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     #: Largest error bound of a size that is used.

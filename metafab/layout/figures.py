@@ -6,6 +6,7 @@ Sums over tiles (:class:`TileSums`) add up to those of the lens, which give its 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +35,8 @@ class TileSums:
     #: Shape (2, 2), overlaps by the model of neighbours, of the sizes that suit lone pillars best and of those chosen
     #: among neighbours, for x and y polarisation; None without that choice.
     among: ComplexArray | None = None
+    #: Shape (2,), of both mappings: squared phase error of the local mean field, summed over pillars and polarisations.
+    among_square_error: FloatArray | None = None
     lights: tuple[TileSums, ...] = ()  #: Sums at each wavelength, where sizes were chosen for several.
 
     @classmethod
@@ -59,7 +62,8 @@ class TileSums:
             self.used + other.used,
             min(self.smallest_gap_dbu, other.smallest_gap_dbu),
             self.each + other.each if self.each and other.each else None,
-            None if self.among is None or other.among is None else self.among + other.among,
+            _sum_of(self.among, other.among),
+            _sum_of(self.among_square_error, other.among_square_error),
             tuple(one + two for one, two in zip(self.lights, other.lights, strict=True)),
         )
 
@@ -72,6 +76,7 @@ class TileSums:
         among = (
             None if self.among is None else [(np.abs(sums / self.pillars) ** 2 * ratio).mean() for sums in self.among]
         )
+        square = None if self.among_square_error is None else self.among_square_error / (2 * self.pillars)
         gap_dbu = self.smallest_gap_dbu
         used = self.used > 0
         return MappingFigures(
@@ -90,10 +95,16 @@ class TileSums:
             efficiency_y=float(efficiency[1]),
             neighbour_efficiency=None if among is None else float(among[1]),
             neighbour_efficiency_before=None if among is None else float(among[0]),
+            neighbour_phase_rms_error_rad=None if square is None else float(np.sqrt(square[1])),
+            neighbour_phase_rms_error_before_rad=None if square is None else float(np.sqrt(square[0])),
             library_error=float(np.sqrt(self.used @ table.error**2 / self.pillars)),
             worst_library_error=float(table.error[used].max()),
             doubtful_pillars=int(self.used[table.error > library.unit_cell.sweep.target_error].sum()),
         )
+
+
+def _sum_of(one: NDArray[Any] | None, two: NDArray[Any] | None) -> NDArray[Any] | None:
+    return None if one is None or two is None else one + two
 
 
 #: Coefficients of cos(e) and of sin(e) / e as polynomials of degree 9 in q = e^2, e up to pi, lowest power first. They

@@ -14,7 +14,7 @@ from metafab.layout.joint import JointSizes, reach_sites
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import PillarTile, SizeIndexArray
 from metafab.library import Library, SizeTable
-from metafab.library.neighbours.choice import NeighbourChoice
+from metafab.library.neighbours.choice import NeighbourChoice, local_mean
 from metafab.library.neighbours.windows import HALO_SITES
 from metafab.library.use.lights import SizesOfLights
 from metafab.phase.terms.profile import PhaseProfile
@@ -91,7 +91,9 @@ class TileMapping:
             fields = self.choice.improve(sizes, target)
             tile, sums = self._tile(corner, inset, sizes, target)
             core = np.s_[:, inset[0] : inset[0] + self.tile_sites, inset[1] : inset[1] + self.tile_sites]
-            return tile, replace(sums, among=np.array([field[core].sum(axis=(1, 2)) for field in fields]))
+            among = np.array([field[core].sum(axis=(1, 2)) for field in fields])
+            square = [np.sum(np.angle(local_mean(field, sizes)[core]) ** 2 * (tile.size_index > 0)) for field in fields]
+            return tile, replace(sums, among=among, among_square_error=np.array(square))
         tile, sums = self._tile(corner, inset, sizes, target)
         if self.lights is not None and of_lights is not None:
             each = [

@@ -47,6 +47,12 @@ class NeighbourTables:
         columns = open_line_corrections(self.along_y[polarisation], size_index[:, inner].T)[:, inner]
         return np.asarray(rows + columns.T)
 
+    def field(self, size_index: IndexArray) -> ComplexArray:
+        """Corrections of all sites of a window whose ends have no neighbours, shape (2, n_y, n_x)."""
+        pairs = zip(self.along_x, self.along_y, strict=True)
+        found = [open_line_corrections(x, size_index) + open_line_corrections(y, size_index.T).T for x, y in pairs]
+        return np.asarray(found)
+
     def slopes(self, size_index: IndexArray, weight: ComplexArray) -> tuple[ComplexArray, FloatArray]:
         """Corrections of all sites of a window whose ends have no neighbours, and derivatives of their weighted sum.
 
