@@ -19,6 +19,8 @@ from metafab.decode.evaluation.metrics import overlap
 WRONG = 0.05
 #: Confidence from which a pixel is sure.
 SURE = 0.9
+#: Distance from outlines beyond which a pixel is inside of its surface.
+_OUTLINES_PX = 20.0
 #: Share of an object's pixels that must have a depth for the object to be found.
 _FOUND_SHARE = 0.3
 #: Number of the wall in scenes that have one: the first object.
@@ -89,6 +91,11 @@ class Decoded:
 def all_error(seen: Decoded) -> float:
     """Mean relative error over all decoded pixels."""
     return float(np.nanmean(np.abs(seen.error)))
+
+
+def inside_error(seen: Decoded) -> float:
+    """Mean relative error over the decoded pixels that are more than 20 px from the nearest outline."""
+    return float(np.nanmean(np.abs(seen.error[seen.edge_px > _OUTLINES_PX])))
 
 
 def decoded_share(seen: Decoded) -> float:

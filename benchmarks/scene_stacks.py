@@ -7,10 +7,11 @@ field, and whose window is wider. ``METAFAB_SCENES`` names the folder in which a
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from importlib.util import find_spec
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +36,18 @@ FIELD_PX = (480, 960)
 _TRUE_VERGENCES = np.linspace(1.0 / 0.236, 1.0 / 0.69, 41)
 _TRUE_TANGENTS = np.linspace(-0.0826, 0.0826, 16), np.linspace(-0.0413, 0.0413, 6)
 _TRUE_NUMERICS = optics.PsfNumerics(window_px=96, target_error=1e-3)
+
+
+@dataclass(frozen=True)
+class KeptFrame:
+    """A frame in its file."""
+
+    file: Path  #: The frame.
+    mark: str  #: Hash of frame and calibration.
+
+    def load(self) -> RawFrame:
+        """Read the frame."""
+        return camera.load(self.file)
 
 
 @dataclass(frozen=True)
@@ -79,27 +92,31 @@ class Stacks:
         imaging = optics.Imaging.of(self.design)
         return imaging.pixel_um / imaging.sensor_distance_um
 
-    def frames(self, scene: Scene, seed: int, haze_e: float = 0.0) -> Iterator[RawFrame]:
-        """The frames of a scene, each kept in a file.
+    def frames(self, scenes: Mapping[int, Scene], haze_e: float = 0.0) -> Iterator[KeptFrame]:
+        """One frame for each seed of textures and noise, in their order, each kept in a file.
 
         Args:
-            scene: photographed scene.
-            seed: of textures and noise.
+            scenes: photographed scene of each seed. Blurs of successive seeds with one scene are computed once.
             haze_e: mean stray electrons on every pixel of the frame, with their shot noise.
         """
+        for _, group in groupby(scenes.items(), key=lambda one: one[1]):
+            of_seed = dict(group)
+            files = {seed: self._frame_file(scene, seed, haze_e) for seed, scene in of_seed.items()}
+            missing = {seed: scene for seed, scene in of_seed.items() if not files[seed].is_file()}
+            scene = next(iter(of_seed.values()))
+            shot = camera.draws(scene, self.true, missing) if missing else iter(())
+            for seed, file in files.items():
+                if seed in missing:
+                    frame = next(shot)
+                    haze = np.random.default_rng((seed, 0x4A2E)).poisson(haze_e, frame.frame.shape)
+                    file.parent.mkdir(parents=True, exist_ok=True)
+                    camera.save(replace(frame, frame=frame.frame + haze), file, inputs_sha256=file.stem)
+                yield KeptFrame(file, fingerprint(file.stem, self._mark("calibration")))
+
+    def _frame_file(self, scene: Scene, seed: int, haze_e: float) -> Path:
         light_mark = self._mark("calibration" if self.lens == "small" else "true")
         parts = (scene, contents_sha256(scene), seed, haze_e, light_mark, sources_sha256((), ("camera",)))
-        mark = fingerprint(*parts)[:20]
-        files = [KEPT / "frames" / f"{mark}_{number}.h5" for number in range(scene.frames)]
-        if all(file.is_file() for file in files):
-            yield from map(camera.load, files)
-            return
-        files[0].parent.mkdir(parents=True, exist_ok=True)
-        rng = np.random.default_rng((seed, 0x4A2E))
-        for file, frame in zip(files, camera.film(scene, self.true, seed=seed), strict=True):
-            hazy = replace(frame, frame=frame.frame + rng.poisson(haze_e, frame.frame.shape))
-            camera.save(hazy, file, inputs_sha256=mark)
-            yield hazy
+        return KEPT / "frames" / f"{fingerprint(*parts)[:20]}.h5"
 
     @cached_property
     def _job(self) -> Job:
@@ -135,7 +152,8 @@ def picture(name: str, width_px: float, height_px: float) -> dict[str, object]:
     file = KEPT / "textures" / f"{name}_{size[0]}x{size[1]}.png"
     if not file.is_file():
         file.parent.mkdir(parents=True, exist_ok=True)
-        grey = Image.open(Path(package.origin).parent / "data" / f"{name}.png").convert("L")
+        (original,) = (Path(package.origin).parent / "data").glob(f"{name}.[jp][pn]g")
+        grey = Image.open(original).convert("L")
         grey.resize(size, Image.Resampling.LANCZOS).save(file)
     values = np.asarray(Image.open(file), dtype=np.float64)
     return {

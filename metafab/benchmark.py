@@ -45,6 +45,8 @@ ROOM_OPTIONS = {
     "films": ("samples",),
     "faults": ("seed", "samples"),
 }
+#: Rooms that report their own progress.
+_REPORTING = {"scenes"}
 #: Name of a room's row that sums up all others.
 ALL_CASES = "all answers"
 
@@ -124,8 +126,9 @@ def rows_of(room: str, *, quick: bool = False, progress: Progress = silent, **op
     for done, name in enumerate(chosen):
         progress("benchmark", done, len(chosen))
         module = load_room(name)
+        told = {"progress": progress} if name in _REPORTING else {}
         try:
-            rows += [BenchmarkRow.of({"room": name, **row}) for row in module.rows(quick, **options)]
+            rows += [BenchmarkRow.of({"room": name, **row}) for row in module.rows(quick, **options, **told)]
         except MissingToolError as error:
             if room != "all":
                 raise

@@ -64,11 +64,12 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
 def draws(scene: Scene, psf: Psf, seeds: Iterable[int], *, progress: Progress = silent) -> Iterator[RawFrame]:
     """Expose the first frame of a scene once for each seed, which changes textures and noise; see :func:`capture`.
 
-    Blurs are computed once for all seeds.
+    Blurs are computed once for all seeds, light too if no texture depends on the seed.
     """
     lenses, first = _lenses(scene, psf), replace(scene, frames=1)
+    is_drawn = any(spec.texture == "fractal" for spec in scene.objects)
     for seed in seeds:
-        for lens in lenses:
+        for lens in lenses if is_drawn else ():
             lens.forget_textures()
         yield from _film(first, psf, lenses, seed, progress)
 

@@ -62,17 +62,20 @@ class PairKernels:
         if psf.field is None:
             nodes, centre = np.asarray(psf.psf)[:, :, None, None], psf.centre_um[:, :, None, None]
         else:
-            nodes, centre = np.asarray(psf.field.psf, dtype=np.float64), psf.field.centre_um
+            nodes, centre = np.asarray(psf.field.psf), psf.field.centre_um
         # Kernels are centred on the geometric image point of the middle depth, whatever the place of their windows.
         offset_px = (centre - centre[:, middle : middle + 1]) / psf.pixel_um
         n_y, n_x = nodes.shape[-2:]
         ky, kx = scipy.fft.fftfreq(n_y)[:, None], scipy.fft.rfftfreq(n_x)[None, :]
-        transfer = scipy.fft.rfft2(nodes) * pixel_transfer((n_y, n_x))
-        if np.abs(offset_px).max() > 1e-6:
-            turns = ky * offset_px[..., 1, None, None] + kx * offset_px[..., 0, None, None]
-            transfer = transfer * np.exp(-2j * np.pi * turns)
-        kernels = scipy.fft.irfft2(transfer, (n_y, n_x))
-        return np.asarray(kernels / _mean_sum(self.relative_to or psf), dtype=np.float32)
+        pixel, is_centred = pixel_transfer((n_y, n_x)), np.abs(offset_px).max() <= 1e-6
+        kernels, unit = np.empty(nodes.shape, dtype=np.float32), _mean_sum(self.relative_to or psf)
+        for place in np.ndindex(nodes.shape[:2]):  # one depth at a time, for its memory
+            transfer = scipy.fft.rfft2(nodes[place].astype(np.float64)) * pixel
+            if not is_centred:
+                offset = offset_px[place][..., None, None, :]
+                transfer *= np.exp(-2j * np.pi * (ky * offset[..., 1] + kx * offset[..., 0]))
+            kernels[place] = scipy.fft.irfft2(transfer, (n_y, n_x)) / unit
+        return kernels
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -91,7 +94,7 @@ class PairKernels:
             remedy = "calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`)"
             raise InputError.single("scene", "depth_m", expected, f"{depth_m:g} m", remedy)
         weights = spline_weights(1.0 / self.psf.depth_m, 1.0 / depth_m)
-        return np.asarray(np.tensordot(weights, self.nodes, axes=(0, 1)), dtype=np.float64)
+        return np.stack([np.tensordot(weights, one, axes=1) for one in self.nodes])
 
     def field_weights(self, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
         """Interpolation weights of the field points at directions of any shape: (*that shape, n_field_y, n_field_x)."""

@@ -18,6 +18,8 @@ from metafab.core.conventions import FloatArray
 BASIS_TOLERANCE = 1e-6
 #: The same for veils, which only correct the light at outlines.
 _VEIL_TOLERANCE = 1e-3
+#: Directions whose field weights are computed at a time: they stay in the cache.
+_BLOCK_PX = 4096
 #: Smallest throughput that is divided by: darker kernels, of a ghost that is absent, hide nothing and show nothing.
 _DARK = 1e-30
 
@@ -57,8 +59,8 @@ class FieldBlur:
         Light and directions have the shape (n_y, n_x), the full convolution (n_y + k_y - 1, n_x + k_x - 1); the layer's
         pixel [0, 0] is at ``[k_y // 2, k_x // 2]``.
         """
-        weights = self.kernels.field_weights(tangent_x, tangent_y).reshape(*light.shape, -1)
-        return np.asarray(self._spread(light[None], weights, len(self.basis))[0])
+        maps, _ = self._maps(tangent_x, tangent_y, len(self.basis))
+        return np.asarray(self._spread(light[None], maps)[0])
 
     def veil(
         self, light: FloatArray, coverage: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray
@@ -67,17 +69,28 @@ class FieldBlur:
 
         Coverage is blurred by kernels of sum 1, so that one that fills the view covers all of it.
         """
-        weights = self.kernels.field_weights(tangent_x, tangent_y).reshape(*light.shape, -1)
-        images = np.stack([light, coverage / np.maximum(weights @ self.throughput.ravel(), _DARK)])
-        spread, covered = self._spread(images, weights, self.veil_count)
+        maps, throughput = self._maps(tangent_x, tangent_y, self.veil_count)
+        spread, covered = self._spread(np.stack([light, coverage / np.maximum(throughput, _DARK)]), maps)
         return spread, covered
 
-    def _spread(self, images: FloatArray, weights: FloatArray, count: int) -> FloatArray:
-        """Convolutions of images (n, n_y, n_x) with the first ``count`` basis kernels, weighted over the field."""
-        maps = np.moveaxis(weights @ self.coefficients.reshape(weights.shape[-1], -1)[:, :count], -1, 0)
+    def _maps(self, tangent_x: FloatArray, tangent_y: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+        """Coefficients of the leading basis kernels, (count, n_y, n_x), and throughput, (n_y, n_x), at directions."""
+        table = np.concatenate([self.coefficients[..., :count], self.throughput[..., None]], axis=-1)
+        maps = np.empty((count + 1, *tangent_x.shape))
+        rows = max(1, _BLOCK_PX // tangent_x.shape[1])
+        for first in range(0, len(tangent_x), rows):
+            part = slice(first, first + rows)
+            weights = self.kernels.field_weights(tangent_x[part], tangent_y[part])
+            maps[:, part] = np.moveaxis(np.tensordot(weights, table, axes=2), -1, 0)
+        return maps[:-1], maps[-1]
+
+    def _spread(self, images: FloatArray, maps: FloatArray) -> FloatArray:
+        """Convolutions of images (n, n_y, n_x) with the basis kernels, weighted over the field by their maps."""
         full = tuple(n + k - 1 for n, k in zip(images.shape[1:], self.basis.shape[-2:], strict=True))
         fast = tuple(scipy.fft.next_fast_len(n, real=True) for n in full)
         total = np.zeros((len(images), fast[0], fast[1] // 2 + 1), dtype=np.complex128)
         for kernel, coefficient in zip(self.basis, maps, strict=False):
-            total += scipy.fft.rfft2(images * coefficient, fast) * scipy.fft.rfft2(kernel, fast)
+            # The kernel has few rows: those of zeros are not transformed along x.
+            transfer = scipy.fft.fft(scipy.fft.rfft(kernel, fast[1]), fast[0], axis=0)
+            total += scipy.fft.rfft2(images * coefficient, fast) * transfer
         return np.asarray(scipy.fft.irfft2(total, fast)[:, : full[0], : full[1]])

@@ -19,6 +19,8 @@ from metafab.core.parallel.progress import Progress
 
 #: Blurs that are kept from frame to frame; one of the paper's lens takes a megabyte.
 _MOST_BLURS = 256
+#: Number, among those of objects, of the whole image of a picture or of a scene in which nothing moves.
+_WHOLE = -1
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,7 @@ class Lens:
     #: Blurs of both polarisations by depth.
     blurs: dict[float, tuple[FieldBlur, FieldBlur]] = field(default_factory=dict)
     #: Layers of the objects that do not move, by (polarisation, number): each is blurred once in a film, with what
-    #: other objects at rest hide of it.
+    #: other objects at rest hide of it. The image as a whole, where nothing moves.
     still: dict[tuple[int, int], Layer] = field(default_factory=dict)
     #: Picture with its depth that is photographed in place of objects; it does not move.
     picture: DepthPicture | None = None
@@ -98,12 +100,11 @@ class Lens:
         scene, window = renderer.scene, self.windows[polarisation]
         (k_y, k_x), (n_y, n_x) = self.kernels.shape, window.stop.shape
         light = np.zeros((n_y + k_y, n_x + k_x))
+        if (kept := self.still.get((polarisation, _WHOLE))) is not None:
+            return kept.light
         if self.picture is not None:
-            if (polarisation, 0) not in self.still:
-                self._add_picture(light, self.picture, polarisation)
-                whole = (slice(0, light.shape[0]), slice(0, light.shape[1]))
-                self.still[polarisation, 0] = Layer(*whole, light, None, np.zeros((0, 0)))
-            return self.still[polarisation, 0].light
+            self._add_picture(light, self.picture, polarisation)
+            return self._kept(light, polarisation)
         nearer: list[Occluder] = []
         veil = np.zeros_like(light)
         for done, (index, spec) in enumerate(reversed(renderer.farthest_first()), start=1):
@@ -129,6 +130,11 @@ class Lens:
             share = visible_share(Occluder(*whole, np.ones((n_y, n_x)), farthest), nearer, self._shifts(window))
             inner = (slice(k_y // 2, k_y // 2 + n_y), slice(k_x // 2, k_x // 2 + n_x))
             light[inner] += scene.background * self.kernels.mean_throughput * window.gain * window.stop * share
+        return light if any(spec.moves for spec in scene.objects) else self._kept(light, polarisation)
+
+    def _kept(self, light: FloatArray, polarisation: int) -> FloatArray:
+        whole = (slice(0, light.shape[0]), slice(0, light.shape[1]))
+        self.still[polarisation, _WHOLE] = Layer(*whole, light, None, np.zeros((0, 0)))
         return light
 
     def _add_picture(self, light: FloatArray, picture: DepthPicture, polarisation: int) -> None:

@@ -13,13 +13,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.matching.pooling import window_means
-from metafab.decode.segmentation.fit import across_outlines
+from metafab.decode.segmentation.fit import across_outlines, connected_moves
 from metafab.decode.segmentation.regions import Regions
 
 #: Side of the window whose light gives a ratio, frame pixels.
@@ -68,7 +67,7 @@ def moved_outlines(regions: Regions, sharp: SharpImages, step: int, where: NDArr
     odds = np.where(asked, np.clip(other - own, -_MOST_ODDS, _MOST_ODDS), 0.0)
     prior = np.clip(regions.right, _LEAST_DOUBT, 1.0 - _LEAST_DOUBT)
     right = 1.0 / (1.0 + (1.0 / prior - 1.0) * np.exp(-odds))
-    moved = _connected(label, np.where(asked & (right < 0.5), across, 0))
+    moved = connected_moves(label, np.where(asked & (right < 0.5), across, 0))
     number = np.where(moved > 0, moved, label)
     kept = right * (1.0 - _DOUBT_LEFT * (1.0 - prior))
     right = np.where(moved > 0, _MOVED_RIGHT * (1.0 - right), np.where(asked, kept, regions.right))
@@ -112,15 +111,3 @@ def _classes(ratio: FloatArray, regions: Regions) -> tuple[FloatArray, FloatArra
             middle[number] = np.median(inside)
             spread[number] = max(_LEAST_SPREAD, 1.48 * float(np.median(np.abs(inside - middle[number]))))
     return middle, spread
-
-
-def _connected(label: NDArray[np.int32], moved: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The moved pixels, shape (n_y, n_x), that are connected with the rest of the segment they move to; 0 elsewhere."""
-    kept = np.zeros_like(moved)
-    for number in np.unique(moved[moved > 0]).tolist():
-        own = (label == number) & (moved == 0)
-        component, _ = connected_components(own | (moved == number))
-        touched = np.zeros(int(component.max()) + 1, dtype=bool)
-        touched[component[own]] = True
-        kept[touched[component] & (moved == number)] = number
-    return kept

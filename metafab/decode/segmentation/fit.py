@@ -8,15 +8,17 @@ own error, a share of the texture's energy that the segments' interiors show.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.pooling import window_means
-from metafab.decode.segmentation.distance import nearest
+from metafab.decode.segmentation.distance import distance, nearest
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Side of the window over which the null energy is averaged, frame pixels.
@@ -65,6 +67,7 @@ class Misfit:
 
     over_noise: NDArray[np.float32]  #: Null energy over what noise and the calibration's error explain: 1 if it fits.
     of_texture: NDArray[np.float32]  #: Null energy over the texture's energy.
+    model_error: float  #: The calibration's error as a share of the texture's energy.
 
     @property
     def is_foreign(self) -> NDArray[np.bool_]:
@@ -73,13 +76,18 @@ class Misfit:
 
 
 def misfit_at(
-    prepared: PreparedFrame, volume: CostVolume, vergence_per_m: FloatArray, interior: NDArray[np.int32]
+    prepared: PreparedFrame,
+    volume: CostVolume,
+    vergence_per_m: FloatArray,
+    interior: NDArray[np.int32],
+    model_error: float | None = None,
 ) -> Misfit:
     """Goodness of fit at each pixel's depth.
 
     Args:
         vergence_per_m: shape (n_y, n_x), 1/depth of each pixel; any value where it has none.
         interior: shape (n_y, n_x), number of the segment whose interior holds the pixel, 0 for none.
+        model_error: the calibration's error; by default that which the interiors show, where depths are right.
     """
     window = max(3, _WINDOW_PX // prepared.downsampling.step | 1)
     products = volume.at(np.nan_to_num(vergence_per_m, nan=float(volume.vergences_per_m[0]))[None])[:, 0]
@@ -87,13 +95,60 @@ def misfit_at(
     null, energy = local.null_energy, local.energy
     inside = interior > 0
     # Medians: what does not belong to a segment must not excuse itself.
-    share = _LEAST_MODEL_ERROR
-    if inside.any():
+    share = _LEAST_MODEL_ERROR if model_error is None else model_error
+    if model_error is None and inside.any():
         excess, textured = float(np.median(null[inside])) - 1.0, float(np.median(energy[inside]))
         share = max(share, excess / max(textured, 1e-9))
     over_noise = null / (np.float32(1.0) + np.float32(share) * energy)
     of_texture = null / np.maximum(energy, np.float32(1e-6))
-    return Misfit(over_noise.astype(np.float32), of_texture.astype(np.float32))
+    return Misfit(over_noise.astype(np.float32), of_texture.astype(np.float32), share)
+
+
+def fitting_segments(
+    label: NDArray[np.int32], own: Misfit, misfit_of: Callable[[int], Misfit], reach: float
+) -> tuple[NDArray[np.int32], Misfit]:
+    """Give pixels that do not fit their segment to a segment nearby that they fit, where it is connected with them.
+
+    Args:
+        label: shape (n_y, n_x), number of each pixel's segment; 0 for none.
+        own: misfit of each pixel at its segment's depth.
+        misfit_of: returns the misfit of all pixels at the depth of a segment, by its number.
+        reach: largest distance of the other segment, pixels.
+
+    Returns:
+        The segments, and the misfit at their depths.
+    """
+    asked = own.is_foreign & (label > 0)
+    moved, over_noise, of_texture = np.zeros_like(label), own.over_noise.copy(), own.of_texture.copy()
+    for number in range(1, int(label.max(initial=0)) + 1) if asked.any() else ():
+        near = asked & (label != number) & (distance(label == number) <= reach)
+        if not near.any():
+            continue
+        other = misfit_of(number)
+        takes = near & ~other.is_foreign & (other.over_noise < over_noise)
+        moved[takes] = number
+        np.copyto(over_noise, other.over_noise, where=takes)
+        np.copyto(of_texture, other.of_texture, where=takes)
+    moved = connected_moves(label, moved)
+    stays = moved == 0
+    fits = replace(
+        own,
+        over_noise=np.where(stays, own.over_noise, over_noise),
+        of_texture=np.where(stays, own.of_texture, of_texture),
+    )
+    return np.where(stays, label, moved), fits
+
+
+def connected_moves(label: NDArray[np.int32], moved: NDArray[np.int32]) -> NDArray[np.int32]:
+    """The moved pixels, shape (n_y, n_x), that are connected with the rest of the segment they move to; 0 elsewhere."""
+    kept = np.zeros_like(moved)
+    for number in np.unique(moved[moved > 0]).tolist():
+        own = (label == number) & (moved == 0)
+        component, _ = connected_components(own | (moved == number))
+        touched = np.zeros(int(component.max()) + 1, dtype=bool)
+        touched[component[own]] = True
+        kept[touched[component] & (moved == number)] = number
+    return kept
 
 
 def across_outlines(label: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:

@@ -15,7 +15,7 @@ from metafab.decode.confidence import LARGEST_ERROR, right_segment
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
 from metafab.decode.segmentation.distance import distance
-from metafab.decode.segmentation.fit import Misfit, across_outlines, misfit_at
+from metafab.decode.segmentation.fit import Misfit, across_outlines, fitting_segments, misfit_at
 from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, fit_plane, ransac_planes
@@ -62,11 +62,6 @@ _OUTLIER = 16.0
 _OUTLINE_REACH_PX = 40
 #: Distance from an outline beyond which light that does not fit is not that of the other side, frame pixels.
 _OUTLINE_LIGHT_PX = 20
-#: A pixel loses its depth where light that fits nothing has at least this share of the texture's energy. Small lenses
-#: leave a median of 0.12 within their own segments.
-_LOST_SHARE = 0.17
-#: Pixels that the depth of a wide segment is measured on at least: twice a window. Bars and fragments have fewer.
-_WIDE_PX = 2 * WINDOW_PX**2
 #: Number of layers from which they may be stripes of a tilted surface.
 _MANY_LAYERS = 5
 #: A segment is a stripe of a plane if its pixels' depths differ at most this many times as much from the plane.
@@ -185,8 +180,11 @@ def find_regions(
         regions = regions if owner is None else with_owners(regions, owner)
     label = regions.grown
 
-    def misfit_of(number: NDArray[np.int32]) -> Misfit:
-        return misfit_at(prepared, volume, regions.vergence_per_m(number), regions.interior)
+    def misfit_of(number: NDArray[np.int32], model_error: float | None = None) -> Misfit:
+        return misfit_at(prepared, volume, regions.vergence_per_m(number), regions.interior, model_error)
+
+    def at_segment(number: int, model_error: float) -> Misfit:
+        return misfit_of(np.full(label.shape, number, dtype=np.int32), model_error)
 
     own, moving, step = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool), prepared.downsampling.step
     for _ in range(robust_rounds):
@@ -197,6 +195,11 @@ def find_regions(
         if not moving[1:].any():
             break
         own = misfit_of(label)
+    if optics is not None:
+        reach = _OUTLINE_REACH_PX / step
+        owner, own = fitting_segments(label, own, lambda number: at_segment(number, own.model_error), reach)
+        regions = with_owners(regions, owner)
+        label = regions.grown
     across, away = across_outlines(label)
     misfit_here, unexplained = own.over_noise, np.zeros(label.shape, dtype=bool)
     if optics is not None:
@@ -211,9 +214,9 @@ def find_regions(
         regions = with_small_objects(regions, found, volume)
         label = regions.grown
         across, away = across_outlines(label)
-    other = misfit_of(across).over_noise if across.any() else misfit_here
-    right = right_segment(misfit_here, other, away * step)
-    return replace(regions, right=np.where(unexplained & (own.of_texture > _LOST_SHARE), 0.0, right))
+    other = misfit_of(across, own.model_error) if across.any() else own
+    right = right_segment(misfit_here, other.over_noise, away * step)
+    return replace(regions, right=np.where(unexplained & (other.is_foreign | (across == 0)), 0.0, right))
 
 
 def foreign_light(regions: Regions, misfit: Misfit, step: int) -> NDArray[np.bool_]:
@@ -227,8 +230,10 @@ def foreign_light(regions: Regions, misfit: Misfit, step: int) -> NDArray[np.boo
     Returns:
         Shape (n_y, n_x).
     """
-    is_wide = np.array([False, *(depth.pixels * step**2 >= _WIDE_PX for depth in regions.depths)])
-    wide = np.where(is_wide[regions.grown], regions.grown, 0).astype(np.int32)
+    label = regions.grown
+    widest = np.zeros(len(regions.depths) + 1, dtype=np.float32)
+    np.maximum.at(widest, label.ravel(), across_outlines(label)[1].ravel())
+    wide = np.where(widest[label] * step >= 0.5 * WINDOW_PX, label, 0).astype(np.int32)
     _, away = across_outlines(wide)
     return misfit.is_foreign & (wide > 0) & (away * step > _OUTLINE_LIGHT_PX)
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks import scene_judge as judge
+from benchmarks import scene_stacks, scenes
 from benchmarks.scene_cases import CASES
 from benchmarks.scene_judge import Decoded
 from benchmarks.scenes import rows
@@ -65,6 +67,7 @@ def test_a_ring_of_three_pixels_is_on_the_wrong_side() -> None:
     assert judge.swapped(seen) == pytest.approx(ring_px / (58 * 197))
     assert judge.all_error(seen) == pytest.approx(0.5 * ring_px / (58 * 197))
     assert judge.sure_and_wrong(seen) == pytest.approx(ring_px / (58 * 197))
+    assert judge.inside_error(seen) == 0.0
 
 
 def test_an_object_in_the_walls_depth_is_claimed_and_not_found() -> None:
@@ -141,3 +144,26 @@ def test_cases_have_names_of_their_own_and_unknown_ones_are_refused() -> None:
         rows(True, only=("nothing",))
     with pytest.raises(InputError, match="scenes or expose with --only"):
         benchmark.rows_of("psf", only=["edge"])
+
+
+def test_a_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames and figures are kept: only the frame of the picture is decoded again."""
+    monkeypatch.setattr(scene_stacks, "KEPT", tmp_path)
+    monkeypatch.setattr(scenes, "KEPT", tmp_path)
+    scenes._stacks.cache_clear()
+    decoded: list[str] = []
+    decoder = scenes._decoder
+    monkeypatch.setattr(scenes, "_decoder", lambda lens, frame: decoded.append(lens) or decoder(lens, frame))
+    told: list[tuple[int, int]] = []
+
+    def progress(step: str, done: int, total: int) -> None:
+        told.append((done, total))
+
+    first = rows(False, only=("first_page",), seeds=3, progress=progress)
+    assert len(decoded) == 3 and told == [(0, 3), (1, 3), (2, 3)]
+    again = rows(False, only=("first_page",), seeds=3)
+    assert len(decoded) == 4
+    assert [row["measured"] for row in again] == [row["measured"] for row in first]
+    assert {row["seeds"] for row in again} == {3} and again[0]["view"] is not None
+    scenes._stacks.cache_clear()
+    assert scenes.Figures.of({"measured": ["inf", 0.5], "seconds": 1.0}).measured == (np.inf, 0.5)

@@ -38,6 +38,20 @@ def test_a_lens_that_remembers_what_stands_still_sees_what_a_new_one_sees() -> N
     assert np.abs(after - before).max() > 10.0
 
 
+def test_a_scene_at_rest_is_rendered_once() -> None:
+    psf = helix_psf(np.linspace(0.0025, 0.0034, 7), window_px=32)
+    scene = replace(SCENE, objects=(WALL, POST))
+    used = Lens(PairKernels(psf), sensor_windows(scene, psf, ImageMap.from_psf(psf)))
+    renderer = Renderer.of(scene, psf.pixel_um / psf.sensor_distance_um, 1)
+    first = used.light(renderer, silent)
+    used.blurs.clear()
+    np.testing.assert_array_equal(used.light(renderer, silent), first)
+    assert not used.blurs  # nothing was blurred again
+    used.forget_textures()
+    other = used.light(Renderer.of(scene, psf.pixel_um / psf.sensor_distance_um, 2), silent)
+    assert np.abs(other - first).max() > 10.0
+
+
 def test_what_moves_hides_what_stands_still_as_if_it_stood_there() -> None:
     psf = helix_psf(np.linspace(0.0025, 0.0034, 7), window_px=32)
 

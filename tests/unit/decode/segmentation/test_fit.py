@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from metafab.decode.segmentation.fit import TwinEnergies, across_outlines
+from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.segmentation.fit import Misfit, TwinEnergies, across_outlines, fitting_segments, misfit_at
 
 
 @pytest.mark.parametrize("contrast", [0.4, 1.0, 2.5, -1.0])
@@ -35,3 +39,41 @@ def test_darkness_is_no_outline() -> None:
     label[:, 5:9] = 1
     across, away = across_outlines(label)
     assert not across.any() and np.isinf(away).all()
+
+
+def test_a_wrong_depth_is_not_excused_by_the_error_of_the_calibration() -> None:
+    """Twins correlate to 0.9 at the true vergence of 2 / m, and to 0.5 one per metre away."""
+    shape, nodes = (20, 20), np.linspace(1.0, 4.0, 13)
+    rho = np.broadcast_to((0.9 - 0.4 * (nodes - 2.0) ** 2)[:, None, None], (13, *shape))
+    volume = CostVolume(nodes, np.stack([rho, np.ones_like(rho), np.ones_like(rho)]).astype(np.float32), 0.5, 1.0)
+    prepared: Any = SimpleNamespace(downsampling=SimpleNamespace(step=3), variance=np.full((2, *shape), 0.05))
+    inside = np.ones(shape, dtype=np.int32)
+    own = misfit_at(prepared, volume, np.full(shape, 2.0), inside)
+    assert own.model_error == pytest.approx((0.1 / 0.05 - 1.0) / (2.0 / 0.05 - 2.0), rel=1e-3)
+    assert own.over_noise == pytest.approx(1.0, rel=1e-3)
+    other = misfit_at(prepared, volume, np.full(shape, 3.0), inside, own.model_error)
+    assert other.over_noise == pytest.approx(0.5 / 0.05 / 2.0, rel=1e-2)
+    assert misfit_at(prepared, volume, np.full(shape, 3.0), inside).over_noise == pytest.approx(1.0, rel=1e-2)
+
+
+def test_pixels_go_to_a_connected_segment_that_they_fit() -> None:
+    label = np.ones((20, 60), dtype=np.int32)
+    label[:, 30:] = 2
+    wedge, island, unlike = (slice(5, 12), slice(22, 30)), (slice(5, 9), slice(12, 16)), (slice(15, 18), slice(25, 30))
+    over = np.ones(label.shape, dtype=np.float32)
+    for part in (wedge, island, unlike):
+        over[part] = 20.0
+    share = np.full(label.shape, 0.2, dtype=np.float32)
+
+    def misfit_of(number: int) -> Misfit:
+        values = np.full(label.shape, 12.0, dtype=np.float32)
+        values[wedge] = values[island] = 1.5
+        return Misfit(values, share, 0.01)
+
+    own = Misfit(over, share, 0.01)
+    moved, fits = fitting_segments(label, own, misfit_of, 40.0)
+    expected = label.copy()
+    expected[wedge] = 2
+    np.testing.assert_array_equal(moved, expected)
+    np.testing.assert_array_equal(fits.over_noise, np.where(moved == label, over, np.float32(1.5)))
+    np.testing.assert_array_equal(fitting_segments(label, own, misfit_of, 3.0)[0][5:12, 22:27], 1)

@@ -7,8 +7,9 @@ import pytest
 
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
+from metafab.decode.segmentation.fit import Misfit
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side
-from metafab.decode.segmentation.regions import Regions, layer_separation_per_m, planes_across
+from metafab.decode.segmentation.regions import Regions, foreign_light, layer_separation_per_m, planes_across
 from metafab.decode.segmentation.segments import SegmentDepth
 
 NODES = np.linspace(1.5, 3.5, 13)
@@ -55,3 +56,15 @@ def test_stripes_of_one_surface_become_a_plane_and_what_stands_before_it_stays()
     assert np.abs(planes[0].over(SHAPE) - surface.over(SHAPE)).max() < 0.3 * step
     assert not planes[1].tilted
     assert planes[1].vergence_per_m == pytest.approx(3.2, abs=step)
+
+
+def test_only_surfaces_wider_than_a_window_have_outlines_that_excuse_light() -> None:
+    """Light of another depth beside a narrow bar stands in the wall; that beside a wide object is the object's."""
+    label = np.ones(SHAPE, dtype=np.int32)
+    label[:, 20:24], label[:, 80:] = 2, 3
+    depths = tuple(SegmentDepth(one, 1e-3, 0.9, 1.0, Plane(one)) for one in (1.7, 3.0, 3.4))
+    misfit = Misfit(np.full(SHAPE, 20.0, dtype=np.float32), np.full(SHAPE, 0.2, dtype=np.float32), 0.01)
+    foreign = foreign_light(Regions(3, depths, label, label, label), misfit, 3)
+    assert foreign[:, :20].all() and foreign[:, 24:70].all()
+    assert not foreign[:, 20:24].any() and not foreign[:, 75:85].any()
+    assert foreign[:, 90:].all()
