@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,11 +15,14 @@ from metafab.cell.supercell import Supercell
 from metafab.core.errors import InputError
 from metafab.library.library import Library, inputs_of
 from metafab.library.neighbours import require_neighbours, rows, solve_supercell, training
-from metafab.library.neighbours.line import LineShape
+from metafab.library.neighbours.fit import FitLimits, RowSet, fit
+from metafab.library.neighbours.line import LineModel, LineShape
 from metafab.library.store import load, save
 from metafab.spec import UnitCell
 from metafab.spec.cell import Neighbours as Training
 from metafab.spec.toml import validate
+
+Report = Callable[[int, int], None]
 
 SMALL_SHAPE = LineShape(2, 1, 1)
 
@@ -79,6 +82,26 @@ def test_training_restarts_and_is_stored(asked: Library, tmp_path: Path, monkeyp
     assert again.along[0].statistics == statistics
     assert again.inputs_sha256 == model.inputs_sha256
     assert "held-out rows" in load(path).key_figures()["neighbours"]
+
+
+@pytest.mark.usefixtures("coarse")
+def test_the_start_with_the_smallest_error_is_kept(asked: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    ends: list[tuple[float, LineModel]] = []
+
+    def recorded(model: LineModel, sets: list[RowSet], limits: FitLimits, report: Report | None = None) -> LineModel:
+        end = fit(model, sets, limits, report)
+        if report is not None:
+            errors = [np.sqrt(rows.weight.max()) * rows.errors(end) for rows in sets]
+            ends.append((float(np.mean(np.concatenate(errors) ** 2)), end))
+        return end
+
+    monkeypatch.setattr(training, "STARTS", 2)
+    monkeypatch.setattr(training, "fit", recorded)
+    lines = training.train(asked).lines
+    assert len(ends) == 2 * len(lines) == 4
+    for line, (first, second) in zip(lines, (ends[:2], ends[2:]), strict=True):
+        assert first[0] != second[0]
+        assert line.model is (first if first[0] < second[0] else second)[1]
 
 
 def test_supercells_by_the_model(trained: Library) -> None:
