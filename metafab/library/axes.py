@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from metafab.cell import PillarCell, pillar_cell
+from metafab.cell.validation import check
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.library.fit.rational import Range, scaled
@@ -102,19 +103,15 @@ class CornerBox:
 def corner_unit_cell(unit_cell: UnitCell, corner: Corner) -> UnitCell:
     """Return the unit cell with the wavelength and geometry of a corner, and without axes.
 
-    Bias, index shift and angle have no key in a unit cell; :func:`corner_cell` applies them. Only a ring's wall and
-    hole take the bias here.
+    Bias, index shift and angle have no key in a unit cell; :func:`corner_cell` applies them.
     """
     wavelength_nm = corner.get("wavelength_nm", unit_cell.illumination.wavelength_nm)
     light = replace(unit_cell.illumination, wavelength_nm=wavelength_nm)
-    cell, bias_nm = unit_cell.cell, corner.get("cd_bias_nm", 0.0)
     geometry = replace(
-        cell,
+        unit_cell.cell,
         height_nm=corner.get("height_nm", unit_cell.cell.height_nm),
         sidewall_angle_deg=corner.get("sidewall_angle_deg", unit_cell.cell.sidewall_angle_deg),
         corner_radius_nm=corner.get("corner_radius_nm", unit_cell.cell.corner_radius_nm),
-        wall_nm=cell.wall_nm and cell.wall_nm + bias_nm,
-        inner_diameter_nm=cell.inner_diameter_nm and cell.inner_diameter_nm - bias_nm,
     )
     return replace(unit_cell, cell=geometry, illumination=light, sweep=replace(unit_cell.sweep, axes=None))
 
@@ -126,6 +123,10 @@ def corner_cell(unit_cell: UnitCell, width_nm: float, length_nm: float, corner: 
     """
     bias = corner.get("cd_bias_nm", 0.0)
     cell = pillar_cell(corner_unit_cell(unit_cell, corner), width_nm + bias, length_nm + bias, **incidence(corner))
+    if cell.shape == "ring":
+        # The wall grows on both of its sides.
+        cell = replace(cell, hole_nm=unit_cell.cell.hole_nm(width_nm) - bias)
+        check(cell)
     return replace(cell, n_pillar=cell.n_pillar + corner.get("pillar_n_shift", 0.0))
 
 

@@ -94,6 +94,13 @@ def test_a_corner_names_its_cell(unit_cell: UnitCell) -> None:
     assert (cell.sidewall_angle_deg, cell.angle_deg, cell.azimuth_deg) == (88.0, 4.0, 0.0)
     assert cell.corner_radius_nm == 12.0
     assert corner_cell(unit_cell, 150.0, 210.0, {"angle_y_deg": 4.0}).azimuth_deg == 90.0
+    # A bias grows the wall of a ring on both sides, whichever of wall and hole the unit cell states.
+    for stated in ({"wall_nm": 45.0}, {"inner_diameter_nm": 60.0}):
+        rings = replace(unit_cell, cell=replace(unit_cell.cell, shape="ring", sidewall_angle_deg=None, **stated))
+        ring = corner_cell(rings, 150.0, 150.0, {"cd_bias_nm": 2.0})
+        assert (ring.width_nm, ring.hole_nm) == (152.0, 58.0)
+        with pytest.raises(InputError, match="larger than its hole"):
+            corner_cell(rings, 150.0, 150.0, {"cd_bias_nm": 61.0})
     at = corner_unit_cell(asking(unit_cell, **SPANS), corner)
     assert (at.illumination.wavelength_nm, at.cell.height_nm, at.sweep.axes) == (803.0, 607.0, None)
     assert corner_cell(at, 150.0, 210.0, corner) == cell

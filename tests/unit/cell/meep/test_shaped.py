@@ -53,6 +53,21 @@ def test_outlines_have_the_area_and_extent_of_the_shape(cell: PillarCell, area_n
     np.testing.assert_allclose(reach.sum(axis=0), 0.0, atol=1e-9)
 
 
+@pytest.mark.parametrize("angle_deg", [90.0, 86.0])
+def test_a_ring_is_a_circle_with_a_block_of_the_ambient_in_it(angle_deg: float) -> None:
+    """Both sides of a sloped wall recede alike, so that hole and outer diameter add up to the same at every height."""
+    ring = replace(CIRCLE, shape="ring", hole_nm=70.0, sidewall_angle_deg=angle_deg)
+    circles = [block for block in blocks_of(ring) if block.outline]
+    assert len(circles) >= 2
+    for outer, hole in zip(circles[::2], circles[1::2], strict=True):
+        assert outer.epsilon[0] == pytest.approx(complex(ring.n_pillar) ** 2)
+        assert hole.epsilon[0] == pytest.approx(complex(ring.n_ambient) ** 2)
+        assert (hole.low[2], hole.high[2]) == (outer.low[2], outer.high[2])
+        assert 1e3 * 2.0 * (hole.high[0] + outer.high[0]) == pytest.approx(250.0)
+    middle = circles[len(circles) // 4 * 2]
+    assert 2e3 * middle.high[0] == pytest.approx(180.0, abs=0.0 if angle_deg == 90.0 else 5.0)
+
+
 def test_a_sloped_pillar_has_a_step_for_each_pixel_of_its_height() -> None:
     cell = replace(CIRCLE, sidewall_angle_deg=85.0)
     for member in (1, 2):
