@@ -34,20 +34,27 @@ def raised_interrupts() -> Iterator[None]:
     """Raise :class:`InterruptedRunError` on Ctrl-C and SIGTERM within the block; call it in the main thread.
 
     A signal may arrive in a finalizer or in a callback, where Python prints an exception and goes on. Such a signal is
-    not printed but sent again after 10 ms.
+    not printed but sent again after 10 ms. Where it arrives within a class body or the import of a compiled module,
+    another exception takes its place; any that ends the block after a signal is the signal's.
     """
+    arrived: list[signal.Signals] = []
+
+    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+        arrived.append(signal.Signals(number))
+        raise InterruptedRunError(arrived[-1])
+
     hook = sys.unraisablehook
-    before = {number: signal.signal(number, _interrupt) for number in _ENDING}
+    before = {number: signal.signal(number, interrupt) for number in _ENDING}
     sys.unraisablehook = _raising_again(hook)
     try:
         yield
+    except Exception as error:
+        if arrived:
+            raise InterruptedRunError(arrived[-1]) from error
+        raise
     finally:
         sys.unraisablehook = hook
         _restore(before)
-
-
-def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
-    raise InterruptedRunError(signal.Signals(number))
 
 
 def _raising_again(hook: Callable[[UnraisableHookArgs], Any]) -> Callable[[UnraisableHookArgs], None]:

@@ -50,8 +50,26 @@ def _in_compiled_code(number: signal.Signals) -> None:
     ctypes.CFUNCTYPE(None)(lambda: _arrive(number))()
 
 
+def _in_class_body(number: signal.Signals) -> None:
+    class Named:
+        def __set_name__(self, owner: type, name: str) -> None:
+            _arrive(number)
+
+    type("Owner", (), {"named": Named()})  # Python 3.11 raises a RuntimeError in place of the signal's exception
+
+
+def _in_compiled_import(number: signal.Signals) -> None:
+    try:
+        _arrive(number)
+    except BaseException:
+        raise ImportError("numpy.core.multiarray failed to import") from None
+
+
 @pytest.mark.parametrize("number", SIGNALS)
-@pytest.mark.parametrize("where", [_arrive, _in_finalizer, _in_weak_reference, _in_compiled_code])
+@pytest.mark.parametrize(
+    "where",
+    [_arrive, _in_finalizer, _in_weak_reference, _in_compiled_code, _in_class_body, _in_compiled_import],
+)
 def test_an_interrupt_is_raised_wherever_it_arrives(
     where: Callable[[signal.Signals], None], number: signal.Signals, capfd: pytest.CaptureFixture[str]
 ) -> None:
