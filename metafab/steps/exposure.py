@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from metafab.core.errors import Fault
+from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import file_sha256
@@ -55,6 +55,9 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     from metafab.exposure.etch import made_pillars
 
     design, work = job.design, job.work
+    if design.unit_cell.cell.is_hexagonal and design.unit_cell.cell.shape == "rectangle":
+        expected, remedy = "'rectangular', for the round corners of printed rectangles", "circles are available"
+        raise InputError.single(design.name, "cell.lattice", expected, "'hexagonal'", remedy)
     exposed = expose_mask(path, design, printed == "corrected", 0, copy, work, keep_sizes=True)
     assert design.process is not None
     assert design.process.exposure is not None

@@ -278,6 +278,14 @@ def test_discs_are_printed_and_corrected(tmp_path: Path) -> None:
     assert np.array_equal(sizes_at_sites(back.pillars), table[index])
 
 
+def test_light_of_printed_rectangles_on_a_hexagonal_lattice_is_refused(folder: Path, tmp_path: Path) -> None:
+    """Their printed corners are round, which unit cells of that lattice are not."""
+    path = design_file(tmp_path / "design.toml", ROOT / "layouts" / "hexagonal_metalens.toml", PROCESS)
+    answer = metafab("psf", folder / "layout.oas", "--design", path, "--printed", "plain", "--json")
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "cell.lattice" in answer.stderr
+
+
 def test_options_that_need_each_other(folder: Path, tmp_path: Path) -> None:
     common = ("expose", folder / "layout.oas", "--design", folder / "design.toml")
     lonely = metafab(*common, "--sample", "5")
