@@ -8,6 +8,9 @@ from metafab.report import html
 from metafab.report.run_folder import RunFolder
 from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, Saving
 
+#: Files that grow or change after the page is written: their sizes would make two pages of one run differ.
+_LATER = {"report.html", "steps.json", SUMMARY_FILE}
+
 
 def skipped(run: RunFolder) -> str:
     """Steps that the design does not need, and work that the others left out.
@@ -44,7 +47,7 @@ def provenance(run: RunFolder) -> str:
     rows = [
         [f'<a href="{escape(p.name)}">{escape(p.name)}</a>', html.number(p.stat().st_size)]
         for p in files
-        if p.name not in {"report.html", SUMMARY_FILE}
+        if p.name not in _LATER
     ]
     design = ""
     if (run.path / "design.toml") in files:

@@ -6,7 +6,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from metafab.library import Library
-from metafab.report.sections.provenance import skipped
+from metafab.report.run_folder import RunFolder
+from metafab.report.sections.provenance import provenance, skipped
 from metafab.steps.summary import UNCHANGED, Saving, SkippedStep
 from tests.closed_form_run import closed_form_run
 
@@ -31,3 +32,14 @@ def test_savings_stand_with_their_numbers_and_errors(tmp_path: Path, smooth_libr
     ):
         assert text in page
     assert "drc" not in page
+
+
+def test_two_pages_of_one_run_list_the_same_files(tmp_path: Path) -> None:
+    """The records grow by the page's own entry after it is written; the page is then made again without a change."""
+    (tmp_path / "psf.h5").write_bytes(b"x" * 1234)
+    (tmp_path / "steps.json").write_bytes(b"{}")
+    first = provenance(RunFolder(tmp_path))
+    assert "psf.h5" in first
+    for name in ("steps.json", "summary.json", "report.html"):
+        (tmp_path / name).write_bytes(b"longer than before")
+    assert provenance(RunFolder(tmp_path)) == first
