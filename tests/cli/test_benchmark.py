@@ -22,7 +22,7 @@ def test_all_runs_every_room_and_writes_one_page(monkeypatch: pytest.MonkeyPatch
     asked: list[tuple[str, bool]] = []
 
     def fake_room(room: str) -> Any:
-        def rows(quick: bool) -> list[dict[str, Any]]:
+        def rows(quick: bool, **_told: Any) -> list[dict[str, Any]]:
             asked.append((room, quick))
             return [{"name": f"{room} {k}", "error": 10.0**-k, "seconds": 0.1 * k, "peak_rss_mb": 1.0} for k in (1, 2)]
 
@@ -47,11 +47,11 @@ def test_every_room_has_a_benchmark(room: str) -> None:
 
 
 def test_a_room_without_its_tools_says_so_and_the_others_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    def rows(quick: bool) -> list[dict[str, Any]]:
+    def rows(quick: bool, **_told: Any) -> list[dict[str, Any]]:
         raise MissingToolError("no interpreter has Meep")
 
     row = {"name": "one", "error": 1e-3, "seconds": 1.0, "peak_rss_mb": 1.0}
-    rooms = {room: SimpleNamespace(rows=lambda quick: [row]) for room in benchmark.ROOMS}
+    rooms = {room: SimpleNamespace(rows=lambda quick, **_told: [row]) for room in benchmark.ROOMS}
     monkeypatch.setattr(benchmark, "load_room", (rooms | {"meep": SimpleNamespace(rows=rows)}).__getitem__)
     table = benchmark.rows_of("all")
     assert len(table) == len(benchmark.ROOMS)
