@@ -7,7 +7,7 @@
 - ``layer_light``     light of layers in tiles: its blur on the downsampled pixels
 - ``tile_shares``     a round of expectation and maximisation: light and shares of the layers in some tiles
 - ``shares``          outlines from a model of the frame with occlusion
-- ``fit``             null energy of the twins by place: whether a segment explains its pixels
+- ``fit``             null energy of the twins by place: whether a segment explains its pixels; continuous surfaces
 - ``null_channel``    difference of the twins in which a surface vanishes, and the evidence of light before it
 - ``small_objects``   rectangles of light before a segment, by ascent of their evidence
 - ``segments``        layers of depth, connected segments, the depth of a segment

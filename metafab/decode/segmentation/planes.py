@@ -217,17 +217,19 @@ def _least_median_of_squares(design: FloatArray, vergence: FloatArray, weight: F
     return np.asarray(planes[np.partition(residual, middle, axis=1)[:, middle].argmin()])
 
 
-def ransac_planes(cells: Cells, side: int, separation_per_m: float) -> list[Plane]:
-    """Find planes that span more than one layer by RANSAC, those of most cells first.
+def ransac_planes(
+    cells: Cells, side: int, separation_per_m: float, steepest: float = _STEEPEST, most: int = _MOST_PLANES
+) -> list[Plane]:
+    """Find at most ``most`` planes that span more than one layer by RANSAC, those of most cells first.
 
     Cells are those of the whole picture, at most one at a place, of ``side`` downsampled pixels; layers differ by
-    ``separation_per_m`` of vergence.
+    ``separation_per_m`` of vergence, and a plane crosses at most ``steepest`` of them within a cell.
     """
     remaining = np.isfinite(cells.error_per_m)
     near = np.hypot(cells.row[:, None] - cells.row, cells.column[:, None] - cells.column) <= _NEIGHBOURHOOD * side
     tolerance = _INLIER_ERRORS * cells.error_per_m + _INLIER_SHARE * separation_per_m
     planes: list[Plane] = []
-    while remaining.sum() >= _FEWEST_INLIERS and len(planes) < _MOST_PLANES:
+    while remaining.sum() >= _FEWEST_INLIERS and len(planes) < most:
         inliers = _ransac_step(cells, remaining, near, tolerance, side)
         if inliers.sum() < _FEWEST_INLIERS:
             break
@@ -237,7 +239,7 @@ def ransac_planes(cells: Cells, side: int, separation_per_m: float) -> list[Plan
             continue
         vergence = plane.at(cells.row, cells.column)
         remaining = remaining & (np.abs(cells.vergence_per_m - vergence) > tolerance)
-        gentle = np.hypot(*plane.slope_per_m) * side < _STEEPEST * separation_per_m
+        gentle = np.hypot(*plane.slope_per_m) * side < steepest * separation_per_m
         if np.ptp(vergence[inliers]) > separation_per_m and gentle:
             planes.append(plane)
     return planes

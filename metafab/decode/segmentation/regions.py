@@ -15,7 +15,14 @@ from metafab.decode.confidence import LARGEST_ERROR, right_segment
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
 from metafab.decode.segmentation.distance import distance
-from metafab.decode.segmentation.fit import Misfit, across_outlines, fitting_segments, misfit_at
+from metafab.decode.segmentation.fit import (
+    Misfit,
+    across_outlines,
+    fitting_segments,
+    log_misfit,
+    misfit_at,
+    surface_per_m,
+)
 from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, fit_plane, ransac_planes
@@ -32,6 +39,7 @@ from metafab.decode.segmentation.segments import (
     is_textured,
     segment_depth,
     textured_components,
+    with_error_of_straight,
 )
 from metafab.decode.segmentation.shares import outline_owners
 from metafab.decode.segmentation.small_objects import SmallObject, small_objects
@@ -44,6 +52,13 @@ _SEPARATION_ERRORS = 2.0
 _ONE_DEPTH_ERRORS, _ONE_DEPTH = 2.5, 1.5e-3
 #: Ratio of misfits below which finer layers replace coarser ones, or planes.
 _CLEARLY_BETTER = 0.93
+#: Misfit of pixels' depths to planes fitted to their segments from which segments are sought on continuous surfaces:
+#: scenes of flat objects and photographs on them have 1.0 to 2.4, a steep ground 3.1, the Middlebury motorcycle 6.
+_UNFIT = 2.6
+#: Side of a cell of such surfaces, frame pixels; layers that they cross within a cell, and most of their planes.
+_SURFACE_CELL_PX, _SURFACE_STEEPEST, _MOST_SURFACES = 18, 6.0, 24
+#: Most downsampled pixels of a frame whose surfaces are sought: they take 800 bytes each.
+_MOST_SURFACE_PIXELS = 400_000
 #: Misfit from which a pixel is left out of its segment's depth: 12 samples of noise reach it in one of 10^3 windows.
 _LARGEST_MISFIT = 2.5
 #: Share of such pixels that changes no depth, and share of the interior that is kept at least.
@@ -62,6 +77,8 @@ _OUTLIER = 16.0
 _OUTLINE_REACH_PX = 40
 #: Distance from an outline beyond which light that does not fit is not that of the other side, frame pixels.
 _OUTLINE_LIGHT_PX = 20
+#: Pixels below which a segment may be the outline of a plain surface: twice a window.
+_NARROW_PX = 2 * WINDOW_PX**2
 #: Number of layers from which they may be stripes of a tilted surface.
 _MANY_LAYERS = 5
 #: A segment is a stripe of a plane if its pixels' depths differ at most this many times as much from the plane.
@@ -79,13 +96,15 @@ class Regions:
     grown: NDArray[np.int32]  #: Shape (n_y, n_x), ``label`` grown over the pixels along the outlines.
     #: Shape (n_y, n_x), probability that a pixel of ``grown`` is in the right segment; None for certainty.
     right: FloatArray | None = None
+    continuous: bool = False  #: Whether segments are pieces of surfaces, which no model of few layers explains.
 
     def within(self, rows: slice, columns: slice) -> Regions:
         """The segments in a part of the window, with the same numbers."""
         depths = tuple(replace(one, plane=one.plane.moved(-rows.start, -columns.start)) for one in self.depths)
         part = (rows, columns)
         right = None if self.right is None else self.right[part]
-        return Regions(self.layers, depths, self.label[part], self.interior[part], self.grown[part], right)
+        part_of = (self.label[part], self.interior[part], self.grown[part])
+        return Regions(self.layers, depths, *part_of, right, self.continuous)
 
     def vergence_per_m(self, label: NDArray[np.int32]) -> FloatArray:
         """1/depth of each pixel's segment, for a label of shape (n_y, n_x): the same shape; NaN for none."""
@@ -175,7 +194,7 @@ def find_regions(
     regions = _find_regions(prepared, volume, pixels, known, outline_rounds, refined=refined)
     if not (regions.depths and refined):
         return regions
-    if optics is not None:
+    if optics is not None and not regions.continuous:
         owner = outline_owners(prepared, regions.depths, regions.grown, regions.interior, optics)
         regions = regions if owner is None else with_owners(regions, owner)
     label = regions.grown
@@ -206,7 +225,8 @@ def find_regions(
         unexplained = foreign_light(regions, own, step) & ~prepared.spoiled
     if optics is not None and unexplained.any():
         vergence = regions.vergence_per_m(label)
-        found = small_objects(prepared, optics, vergence, unexplained, misfit_here)
+        searched = not regions.continuous
+        found = small_objects(prepared, optics, vergence, unexplained, misfit_here) if searched else []
         misfit_here = misfit_here.copy()
         for one in found:
             misfit_here[one.blob] = np.minimum(misfit_here[one.blob], one.misfit)
@@ -296,7 +316,9 @@ def without_outliers(
     for index, cells in zip(again.tolist(), Cells.of_each(volume, number[kept], again.size, step), strict=True):
         measured = measured_depth(volume, cells, depths[index].plane)
         if measured is not None:
-            depths[index] = replace(measured, pixels=depths[index].pixels)
+            pixels, factor = depths[index].pixels, depths[index].error_factor
+            error = measured.relative_error * factor
+            depths[index] = replace(measured, relative_error=error, pixels=pixels, error_factor=factor)
     return replace(regions, depths=tuple(depths))
 
 
@@ -313,7 +335,9 @@ def _find_regions(
 
     At first each layer has one depth. If some of its segments are tilted, or are stripes of a tilted surface, the
     layers become planes, and pixels are assigned to them once more. Where noise tells more layers apart, those replace
-    them if the pixels' depths fit clearly better: a staircase lies within the cells' errors of a plane.
+    them if the pixels' depths fit clearly better: a staircase lies within the cells' errors of a plane. Where the
+    pixels' depths fit no planes, segments are pieces of planes across the surface of semi-global matching, if those
+    are fewer and explain the twins no worse.
     """
     segmentation = _Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
     if any(plane.tilted for plane in known):
@@ -322,6 +346,27 @@ def _find_regions(
     if not coarse:
         none = np.zeros(volume.shape, dtype=np.int32)
         return Regions(0, (), none, none, none)
+    regions = _of_layers_or_planes(segmentation, coarse, refined=refined)
+    inside = pixels.claimed & (regions.interior > 0)
+    if not (refined and inside.any() and inside.size <= _MOST_SURFACE_PIXELS):
+        return regions
+    if misfit(regions, pixels, inside, _TILTED) < _UNFIT:
+        return regions
+    surfaces = segmentation.of_surfaces()
+    if surfaces is None or len(surfaces.depths) >= len(regions.depths):
+        return regions
+    both = pixels.claimed & (regions.grown > 0) & (surfaces.grown > 0)
+
+    def left(of: Regions) -> float:
+        products = volume.at(np.where(both, of.vergence_per_m(of.grown), volume.vergences_per_m[0])[None])
+        return float(log_misfit(prepared, products[:, 0], volume.noise_gain)[both].mean())
+
+    return surfaces if both.any() and left(surfaces) < left(regions) else regions
+
+
+def _of_layers_or_planes(segmentation: _Segmentation, coarse: list[Plane], *, refined: bool) -> Regions:
+    """Segments of layers, of planes across them, or of the layers that noise tells apart."""
+    prepared, volume, pixels = segmentation.prepared, segmentation.volume, segmentation.pixels
     regions = segmentation.of_layers(coarse)
     if len(coarse) >= _MANY_LAYERS or any(depth.plane.tilted for depth in regions.depths):
         cells = Cells.of(volume, pixels.claimed & prepared.lit, prepared.downsampling.step)
@@ -468,6 +513,21 @@ class _Segmentation:
         allowed = np.stack([np.ones(shape, dtype=bool)] * len(planes) + [near] * len(depths))
         return self.of_layers(planes + [Plane(vergence) for vergence in depths], allowed)
 
+    def of_surfaces(self) -> Regions | None:
+        """Segments of the planes across a surface of semi-global matching; None without any."""
+        prepared, volume, separation = self.prepared, self.volume, self.separation_per_m
+        surface, step = surface_per_m(prepared, volume), prepared.downsampling.step
+        cells = Cells.of(volume, self.pixels.claimed & prepared.lit, step, _SURFACE_CELL_PX)
+        at = np.rint(cells.row).astype(np.intp), np.rint(cells.column).astype(np.intp)
+        error = np.full(at[0].shape, 0.1 * separation)
+        cells = replace(cells, vergence_per_m=surface[at], error_per_m=error)
+        side = cell_side(step, _SURFACE_CELL_PX)
+        planes = ransac_planes(cells, side, separation, _SURFACE_STEEPEST, _MOST_SURFACES)
+        if not planes:
+            return None
+        of_surface = replace(self, pixels=replace(self.pixels, vergence_per_m=surface))
+        return replace(of_surface.of_planes(planes), continuous=True)
+
     def of_layers(self, layers: list[Plane], allowed: NDArray[np.bool_] | None = None) -> Regions:
         """Segments of layers: connected pixels of one plane, where ``allowed`` (n_layers, n_y, n_x)."""
         prepared, volume, step = self.prepared, self.volume, self.prepared.downsampling.step
@@ -479,9 +539,12 @@ class _Segmentation:
         count = int(parts.max(initial=0))
         number, sizes = np.zeros(count + 1, dtype=np.int32), np.bincount(inside.ravel(), minlength=count + 1)
         depths: list[SegmentDepth] = []
+        light = prepared.inner.sum(axis=0)
         for part, cells in enumerate(Cells.of_each(volume, inside, count, step), start=1):
             depth = measured_depth(volume, cells, layers[int(np.median(layer[parts == part])) - 1])
-            if depth is not None:
+            if depth is not None and sizes[part] * step**2 < _NARROW_PX:
+                depth = with_error_of_straight(depth, light, inside == part, volume.samples)
+            if depth is not None and depth.relative_error < LARGEST_ERROR:
                 depths.append(replace(depth, pixels=float(sizes[part])))
                 number[part] = len(depths)
         label, inner = number[parts], number[inside]

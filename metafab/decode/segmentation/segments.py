@@ -40,6 +40,10 @@ _LEAST_TEXTURED = 0.05
 #: Standard errors within which a fragment's depth is that of its neighbour, and their least ratio of sizes.
 _SAME_DEPTH, _SIZE_RATIO = 2.5, 4
 
+#: Ratio of the eigenvalues of the structure tensor below which structure lies along one straight line: outlines of
+#: plain surfaces have 0.001 to 0.003, narrow segments of textured ones 0.16 to 0.7.
+_STRAIGHT = 0.02
+
 
 @dataclass(frozen=True)
 class SegmentDepth:
@@ -51,6 +55,7 @@ class SegmentDepth:
     power: float  #: Mean square of the filtered twins there, geometric mean of both, electrons squared.
     plane: Plane  #: Depth over the picture.
     pixels: float = 0.0  #: Downsampled pixels that the depth is measured on.
+    error_factor: float = 1.0  #: Factor in ``relative_error`` for structure along one straight line.
 
 
 def depth_layers(pixels: PixelDepth, separation_per_m: float) -> FloatArray:
@@ -193,6 +198,38 @@ def segment_depth(volume: CostVolume, sums: FloatArray, pixels: float, tilt: Pla
 def _segment(tilt: Plane | None, vergence: float, error: float, height: float, power: float) -> SegmentDepth:
     plane = Plane(vergence) if tilt is None else replace(tilt, vergence_per_m=vergence)
     return SegmentDepth(vergence, error, height, power, plane)
+
+
+def with_error_of_straight(
+    depth: SegmentDepth, light: NDArray[np.float32], mask: NDArray[np.bool_], samples: float
+) -> SegmentDepth:
+    """Depth with the error of a segment whose structure lies along one straight line; itself for other structure.
+
+    Along such a line, the pixels are no independent samples: what differs between the twins at one is repeated at all
+    others. Those across it count, as far as they hold the light's gradient.
+
+    Args:
+        depth: of the segment.
+        light: shape (n_y, n_x), electrons.
+        mask: shape (n_y, n_x), pixels that the depth is measured on.
+        samples: independent samples a pixel.
+    """
+    place = np.stack(np.nonzero(mask), axis=1)
+    if min(light.shape) < 2 or not place.size:
+        return depth
+    box = tuple(
+        slice(max(0, low - 1), high + 2) for low, high in zip(place.min(axis=0), place.max(axis=0), strict=True)
+    )
+    part: NDArray[np.float64] = light[box].astype(np.float64)
+    gradient = np.stack([np.gradient(part, axis=axis)[mask[box]] for axis in (0, 1)], axis=1)
+    shares, directions = np.linalg.eigh(gradient.T @ gradient)
+    if not shares[0] < _STRAIGHT * shares[1]:
+        return depth
+    across = np.rint(place @ directions[:, 1]).astype(np.intp)
+    energy = np.bincount(across - across.min(), (gradient @ directions[:, 1]) ** 2)
+    lines = float(energy.sum() ** 2 / (energy**2).sum())
+    factor = float(np.sqrt(max(len(place) * samples / lines, 1.0)))
+    return replace(depth, relative_error=depth.relative_error * factor, error_factor=factor)
 
 
 def interior(segment: NDArray[np.int32], number: int, step: int) -> NDArray[np.bool_]:

@@ -15,6 +15,7 @@ from metafab.decode.segmentation.segments import (
     interior,
     is_textured,
     opened,
+    with_error_of_straight,
 )
 
 #: A wall, a strip along its side, and an object that hides some of both.
@@ -110,3 +111,24 @@ def test_a_strip_of_a_strip_joins_what_that_has_fragment_targets() -> None:
 
 def test_nothing_joins_nothing() -> None:
     assert fragment_targets([], np.zeros((5, 5), dtype=np.int32)).tolist() == [0]
+
+
+def test_pixels_along_a_straight_line_are_no_independent_samples() -> None:
+    rng, mask = np.random.default_rng(1), np.zeros((40, 60), dtype=bool)
+    mask[10:22, 5:55] = True
+    row, column = np.mgrid[:40, :60]
+    depth = SegmentDepth(300.0, 1e-3, 0.99, 1.0, Plane(300.0), float(mask.sum()))
+
+    def error(light: np.ndarray) -> float:
+        return with_error_of_straight(depth, light.astype(np.float32), mask, 0.8).relative_error
+
+    texture = 1000.0 + 100.0 * rng.normal(size=mask.shape)
+    assert error(texture) == depth.relative_error
+    level = 1000.0 + 900.0 * np.tanh((row - 15.5) / 1.5)
+    turned = 1000.0 + 900.0 * np.tanh((0.8 * (row - 15.5) + 0.6 * (column - 30.0)) / 1.5)
+    # 600 pixels of 0.8 samples; the gradient of a tanh of 1.5 px falls on 4.5 rows: (600 x 0.8 / 4.5)^0.5 = 10.3.
+    assert 8e-3 < error(level) < 13e-3
+    assert error(turned) > 5e-3
+    # Many lines beside each other are many samples.
+    stripes = 1000.0 + 900.0 * np.sin(row * 1.1)
+    assert error(stripes) < 0.75 * error(level)

@@ -1,0 +1,79 @@
+"""Semi-global matching: the level of every pixel whose cost, with that of changes from pixel to pixel, is least.
+
+Costs are summed along eight directions, with a price for each change of level that does not rise for jumps beyond two
+levels (Hirschmueller, IEEE Trans. Pattern Anal. Mach. Intell. 30, 328, 2008).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.numeric.compiled import compiled, inlined
+from metafab.core.parallel.executor import spread
+
+
+def cheapest_levels(cost: NDArray[np.float32], change: float, jump: float) -> NDArray[np.intp]:
+    """Level of each pixel, shape (n_y, n_x).
+
+    Args:
+        cost: shape (n_y, n_x, n_levels), cost of each level.
+        change: price of a change by one level from a pixel to the next, in the unit of the costs.
+        jump: price of any change, where that is less.
+    """
+    totals = np.zeros((2, *cost.shape), dtype=np.float32)
+    spread(_sweeps, 2, np.ascontiguousarray(cost, dtype=np.float32), np.float32(change), np.float32(jump), totals)
+    return np.asarray(totals.sum(axis=0).argmin(axis=-1))
+
+
+@inlined
+def _add_path(
+    cost: NDArray[np.float32],
+    before: NDArray[np.float32],
+    change: np.float32,
+    jump: np.float32,
+    path: NDArray[np.float32],
+    total: NDArray[np.float32],
+) -> None:
+    """Continue a path by a pixel, of ``cost`` (n_levels,), and add it to ``total``; 0 ``before`` begins one."""
+    count = cost.size
+    least = before.min()
+    for k in range(count):
+        best = min(before[k], least + jump)
+        if k > 0:
+            best = min(best, before[k - 1] + change)
+        if k > 1:
+            best = min(best, before[k - 2] + np.float32(2.0) * change)
+        if k < count - 1:
+            best = min(best, before[k + 1] + change)
+        if k < count - 2:
+            best = min(best, before[k + 2] + np.float32(2.0) * change)
+        path[k] = cost[k] + best - least
+        total[k] += path[k]
+
+
+@compiled
+def _sweeps(
+    first: int,
+    behind: int,
+    cost: NDArray[np.float32],
+    change: np.float32,
+    jump: np.float32,
+    totals: NDArray[np.float32],
+) -> None:
+    """Sum costs (n_y, n_x, n_levels) along four directions in each sweep, from the first and from the last pixel."""
+    n_y, n_x, count = cost.shape
+    for sweep in range(first, behind):
+        # Paths from the left, and of the last row from the upper left, above and the upper right; a margin begins them.
+        last = np.zeros((3, n_x + 2, count), dtype=np.float32)
+        for row in range(n_y):
+            i = row if sweep == 0 else n_y - 1 - row
+            here = np.zeros((3, n_x + 2, count), dtype=np.float32)
+            beside = np.zeros((2, count), dtype=np.float32)
+            for column in range(n_x):
+                j = column if sweep == 0 else n_x - 1 - column
+                one, total = cost[i, j], totals[sweep, i, j]
+                _add_path(one, beside[column % 2], change, jump, beside[1 - column % 2], total)
+                for way in range(3):
+                    _add_path(one, last[way, column + way], change, jump, here[way, column + 1], total)
+            last = here
