@@ -270,7 +270,8 @@ class UnitCell(Checked):
             )
         circles = self.cell.is_round
         if circles and self.sweep.width_nm != self.sweep.length_nm:
-            yield "`sweep.length_nm` of circles and rings must equal `sweep.width_nm`: both are the outer diameter"
+            shapes = "rings" if self.cell.shape == "ring" else "circles"
+            yield f"`sweep.length_nm` of {shapes} must equal `sweep.width_nm`: both are the diameter"
         smallest_nm = self.sweep.width_nm[0]
         if self.cell.shape == "ring" and not 0.0 < self.cell.hole_nm(smallest_nm) < smallest_nm:
             yield f"`sweep.width_nm` starts at {smallest_nm:g} nm: no ring of that outer diameter has this wall or hole"

@@ -102,7 +102,7 @@ def _require_size(spec: UnitCell, width_nm: float, length_nm: float) -> None:
             faults.append(Fault(name, expected, f"{size_nm:g} nm", "is it in nanometres?"))
     if spec.cell.is_round and width_nm != length_nm:
         got = f"{width_nm:g} and {length_nm:g} nm"
-        faults.append(Fault("--length-nm", "the width: both are the outer diameter of a circle or ring", got))
+        faults.append(Fault("--length-nm", "the width: both are the diameter of a circle or ring", got))
     if faults:
         raise InputError("cell", faults)
 
