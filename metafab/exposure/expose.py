@@ -136,7 +136,7 @@ def expose(
     Args:
         pillars: drawn pillars, upright.
         psf: point-spread function of the beam.
-        outline: outline of the drawn pillars, any but a cross.
+        outline: outline of the drawn pillars, any but a cross or a ring.
         base_over_clearing_dose: base dose over the clearing dose of a large pad; None for the dose at which printed
             sizes equal drawn ones in the mean without correction ("dose to size").
         lens_dose: dose of the whole lens relative to the base dose, on top of that of each pillar.

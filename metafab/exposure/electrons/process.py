@@ -125,9 +125,10 @@ def exposure_process(design: Design, further: Sequence[Fault] = ()) -> ExposureP
 
 def _unavailable(design: Design) -> list[Fault]:
     """Keys of a design whose pillars the exposure cannot predict."""
-    faults = []
-    if design.unit_cell.cell.shape == "cross":
-        faults.append(Fault("cell.shape", "another shape", "'cross'", "not available with the exposure"))
+    faults, shape = [], design.unit_cell.cell.shape
+    if shape in {"cross", "ring"}:
+        expected = "'rectangle', 'circle' or 'ellipse'"
+        faults.append(Fault("cell.shape", expected, repr(shape), "not available with the exposure"))
     if design.mask.tone != "negative":
         expected = "'negative', where the drawn pillars are exposed"
         faults.append(Fault("mask.tone", expected, repr(design.mask.tone), "not available with the exposure"))

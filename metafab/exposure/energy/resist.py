@@ -46,7 +46,7 @@ class TileEnergy:
 
 
 class ResistEnergy:
-    """Energy in the resist at every pillar of a pattern, for any doses; the outline is no cross."""
+    """Energy in the resist at every pillar of a pattern, for any doses; the outline is no cross and no ring."""
 
     def __init__(self, pillars: PillarMap, psf: BeamPsf, outline: Outline = RECTANGLE) -> None:
         lattice = pillars.lattice

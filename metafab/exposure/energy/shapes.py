@@ -54,7 +54,7 @@ class Shapes:
 
     @classmethod
     def of(cls, pillars: PillarMap, outline: Outline = RECTANGLE) -> Shapes:
-        """Shapes of the sizes of a mask, drawn with an outline other than a cross."""
+        """Shapes of the sizes of a mask, drawn with an outline other than a cross or a ring."""
         size_nm = pillars.size_nm()
         if outline.is_rectangle:
             return cls(size_nm, size_nm.prod(axis=1), size_nm, True)

@@ -206,6 +206,7 @@ def test_measured_sizes_become_a_process_file_that_a_design_uses(folder: Path, t
     [
         ("sos_800nm", "", "process.exposure"),
         ("cross", PROCESS, "cell.shape"),
+        ("ring", PROCESS, "cell.shape"),
         ("sos_800nm", '\n[process.exposure]\npreset = "unknown"\n', "hsq_sos_100kv"),
         ("sos_800nm", "\n[[mask.copies]]\nat_um = [0.0, 0.0]\nfocus_um = 0.5\n" + PROCESS, "convergence_mrad"),
     ],
@@ -214,7 +215,11 @@ def test_refusals_name_the_key(library: str, further: str, named: str, folder: P
     cell = ROOT / "unitcell_lib" / f"{library}.toml"
     if library == "cross":
         cell = design_file(tmp_path / "cross.toml", cell.with_name("sos_800nm.toml"), "", shape='"cross"')
-    path = design_file(tmp_path / "design.toml", SMALL, further, library=f'"{cell}"', optimise='"none"')
+    if library == "ring":
+        ring, circles = '"ring"\ninner_diameter_nm = 50.0', cell.with_name("sin_circles_633nm.toml")
+        cell = design_file(tmp_path / "ring.toml", circles, "", shape=ring)
+    rules = {"min_gap_nm": "40.0", "min_feature_nm": "20.0"}
+    path = design_file(tmp_path / "design.toml", SMALL, further, library=f'"{cell}"', optimise='"none"', **rules)
     answer = metafab("expose", folder / "layout.oas", "--design", path, "--json")
     assert (answer.code, answer.stdout) == (2, "")
     assert named in answer.stderr
