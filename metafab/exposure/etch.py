@@ -21,6 +21,7 @@ from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.far import LONG_PERIODS, LongRange, block_masses
 from metafab.exposure.expose import Exposure
 from metafab.layout import PillarMap
+from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.resized import bands, resized
 from metafab.spec.mask import BeamTerm, Etch
 
@@ -36,11 +37,12 @@ class MadePillars:
     density: float  #: Mean share of the surface under printed pillars, weighted by pillars.
 
 
-def made_pillars(wanted: PillarMap, exposed: Exposure, etch: Etch) -> MadePillars:
+def made_pillars(wanted: PillarMap, exposed: Exposure, etch: Etch, outline: Outline = RECTANGLE) -> MadePillars:
     """Return the pillars that an exposure and an etch leave.
 
     The bias counts from the sizes of ``wanted``, the mask before correction; ``exposed`` is its exposure, with
-    ``keep_sizes``. InputError if printed sizes were not kept, or ``microloading_range_um`` is below 12 periods.
+    ``keep_sizes``. A printed pillar covers the same share of its width times length as its drawn ``outline``.
+    InputError if printed sizes were not kept, or ``microloading_range_um`` is below 12 periods.
     """
     change = exposed.printed_less_drawn_nm
     if change is None:
@@ -53,7 +55,13 @@ def made_pillars(wanted: PillarMap, exposed: Exposure, etch: Etch) -> MadePillar
         size = drawn_nm[:, index[rows]] + change[:, rows]
         return np.asarray(np.where((index[rows] > 0) & np.isfinite(size).all(axis=0), size, 0.0), dtype=np.float32)
 
-    density, mean = local_density(drawn, printed_nm, etch) if etch.microloading_nm else (None, 0.0)
+    drawn_box = np.maximum(np.prod(drawn.size_dbu.astype(np.float64), axis=1), 1.0)
+    covered = outline.area(drawn.size_dbu) / drawn_box
+
+    def area_nm2(rows: slice) -> FloatArray:
+        return np.asarray(printed_nm(rows).astype(np.float64).prod(axis=0) * covered[index[rows]])
+
+    density, mean = local_density(drawn, area_nm2, etch) if etch.microloading_nm else (None, 0.0)
 
     def made_nm(rows: slice) -> FloatArray:
         size = printed_nm(rows)
@@ -75,10 +83,10 @@ def made_pillars(wanted: PillarMap, exposed: Exposure, etch: Etch) -> MadePillar
     return MadePillars(pillars, bias_nm, rms_nm, int(np.count_nonzero(index)) - count // 2, mean)
 
 
-def local_density(pillars: PillarMap, sizes_nm: Callable[[slice], Float32Array], etch: Etch) -> tuple[LongRange, float]:
+def local_density(pillars: PillarMap, area_nm2: Callable[[slice], FloatArray], etch: Etch) -> tuple[LongRange, float]:
     """Return the local density on blocks, averaged over ``microloading_range_um``, and its mean over the pillars.
 
-    ``sizes_nm`` returns width and length of all sites of some rows, shape (2, n_rows, n_x), 0 without a pillar.
+    ``area_nm2`` returns the areas of the pillars on all sites of some rows, shape (n_rows, n_x), 0 without a pillar.
     InputError for a range below 12 periods.
     """
     lattice, index = pillars.lattice, pillars.to_array()
@@ -86,9 +94,7 @@ def local_density(pillars: PillarMap, sizes_nm: Callable[[slice], Float32Array],
     if etch.microloading_range_um * 1e3 < least_nm:
         expected = f"at least {LONG_PERIODS:g} periods, {least_nm * 1e-3:g} um"
         raise InputError.single("process.etch", "microloading_range_um", expected, f"{etch.microloading_range_um:g} um")
-    masses = []
-    for rows in bands(index):
-        masses.append(block_masses(np.prod(sizes_nm(rows).astype(np.float64), axis=0)))
+    masses = [block_masses(area_nm2(rows)) for rows in bands(index)]
     beam = BeamPsf.of([BeamTerm("gauss", 1.0, etch.microloading_range_um * 1e3)], "")
     density = LongRange.of(beam, np.concatenate(masses), lattice.period_nm)
     assert density is not None

@@ -331,8 +331,8 @@ def _distinct(pillars: Sequence[PillarMap]) -> tuple[list[PillarMap], list[int]]
 
 def _excess_density(lens: MeasuredLens, etch: Etch) -> FloatArray:
     """Local density of the drawn pillars at each measurement, less its mean over all pillars: shape (n,)."""
-    index, size_nm = lens.pillars.to_array(), lens.pillars.size_nm().astype(np.float32).T
-    density, mean = local_density(lens.pillars, lambda rows: size_nm[:, index[rows]], etch)
+    index, area_nm2 = lens.pillars.to_array(), lens.pillars.size_nm().prod(axis=1)
+    density, mean = local_density(lens.pillars, lambda rows: area_nm2[index[rows]], etch)
     at = [density.at(slice(row, row + 1), slice(column, column + 1)).item() for row, column in lens.place.tolist()]
     return np.array(at) - mean
 

@@ -53,6 +53,7 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     """
     from metafab import optics, tolerance
     from metafab.exposure.etch import made_pillars
+    from metafab.layout.outlines import Outline
 
     design, work = job.design, job.work
     if design.unit_cell.cell.is_hexagonal and design.unit_cell.cell.shape == "rectangle":
@@ -63,7 +64,7 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     assert design.process.exposure is not None
     correction = design.process.exposure.correction
     etch = design.process.etch or Etch()
-    made = made_pillars(exposed.drawn, exposed.exposure, etch)
+    made = made_pillars(exposed.drawn, exposed.exposure, etch, Outline.of(design))
     figures = exposed.exposure.figures
     library = open_library(job)
     corner = dict(etch.corner)

@@ -9,6 +9,7 @@ from metafab.core.errors import InputError
 from metafab.exposure import BeamPsf, BeamTerm, ExposureNumerics, expose
 from metafab.exposure.etch import made_pillars
 from metafab.layout import PillarMap
+from metafab.layout.outlines import Outline
 from metafab.spec.mask import Etch
 from tests.physics.exposure.conftest import pattern
 
@@ -44,6 +45,19 @@ def test_microloading_follows_the_local_density(half_empty: PillarMap) -> None:
     density = 120.0 * 200.0 / 350.0**2
     difference = sizes[80, 80] - sizes[80, 240]
     np.testing.assert_allclose(difference, 100.0 * 0.5 * density, atol=0.5)
+
+
+def test_the_density_of_ellipses_is_that_of_their_area(half_empty: PillarMap) -> None:
+    outline = Outline("ellipse", 0.5)
+    exposed = expose(half_empty, SHARP, outline=outline, numerics=ExposureNumerics(keep_sizes=True))
+    etch = Etch(microloading_nm=100.0, microloading_range_um=4.5)
+    ellipses = made_pillars(half_empty, exposed, etch, outline)
+    boxes = made_pillars(half_empty, exposed, etch)
+    # The polygon of the mask is 1 % larger than the ellipse.
+    assert ellipses.density == pytest.approx(0.25 * np.pi * boxes.density, rel=0.015)
+    sizes = ellipses.pillars.size_nm()[ellipses.pillars.to_array()]
+    density = 0.25 * np.pi * 120.0 * 200.0 / 350.0**2
+    np.testing.assert_allclose(sizes[80, 80] - sizes[80, 240], 100.0 * 0.5 * density, atol=0.5)
 
 
 def test_ranges_that_blocks_do_not_resolve_are_refused(half_empty: PillarMap) -> None:
