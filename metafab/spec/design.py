@@ -218,9 +218,10 @@ class Limits:
     """
 
     memory_mb: Positive | None = None  #: Memory of what one file expands to.
-    #: Shapes of a mask file on the pillar layer, all placements and repetitions expanded.
+    #: Shapes of a mask file on the pillar layer, or of a cell of `mask.include` on all layers, all placements and
+    #: repetitions expanded.
     shapes: Annotated[int | None, Field(strict=True, ge=1)] = None
-    #: Nesting of the cells of a mask file; omitted: 100.
+    #: Nesting of the cells of a mask file, or of a cell of `mask.include`; omitted: 100.
     depth: Annotated[int | None, Field(strict=True, ge=1, le=250)] = None
     #: Processor time of reading a mask file, estimated from its records, so that it is the same on every machine.
     seconds: Positive | None = None

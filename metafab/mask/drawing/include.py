@@ -15,16 +15,17 @@ import gdstk
 import numpy as np
 
 from metafab.core.errors import InputError
+from metafab.core.storage.limits import beyond, limit, limited
 from metafab.layout.geometry import whole_dbu
 from metafab.mask.drawing.clearance import boxes_of, require_apart, require_clear_of_lenses, require_within_frame
 from metafab.mask.drawing.surroundings import Surroundings, surroundings
-from metafab.mask.shapes.hierarchy import IntArray
+from metafab.mask.shapes.hierarchy import DEEPEST, IntArray
 from metafab.spec import Design
 from metafab.spec.mask import Include
 
 #: Corners that every GDSII reader takes, and largest distance of a corner from the grid (database units).
 _MOST_CORNERS, _ON_GRID = 8190, 1e-3
-#: Shapes that a cell may expand to unless `limits.shapes` is stated: about 1 kB each.
+#: Shapes and texts that a cell may expand to unless the limit ``shapes`` is stated: about 1 kB each.
 _MOST_SHAPES = 1_000_000
 
 
@@ -73,7 +74,8 @@ def included_cells(design: Design, around: tuple[Surroundings, ...]) -> tuple[In
 
     InputError if a file or a cell is missing, a corner lies off the grid, a layer holds pillars, field, or chip
     features, or a polygon touches a lens, another feature, or another included cell, or lies beyond frame and dicing
-    street without ``beyond_street``; or a cell that contains itself, or holds more shapes than the limit.
+    street without ``beyond_street``; or a cell that contains itself, is nested deeper than the limit, or holds
+    more shapes and texts than the limit.
     """
     cells = tuple(_read(design, number, item) for number, item in enumerate(design.mask.include, start=1))
     for number, cell in enumerate(cells, start=1):
@@ -107,10 +109,8 @@ def _read(design: Design, number: int, item: Include) -> IncludedCell:
     shift = np.array([whole_dbu(at_um * 1e3, unit_nm, f"{key}.at_um") for at_um in item.at_um])
     per_unit = library.unit * 1e9 / unit_nm
     polygons, present = [], set()
-    most = design.stated_limits.get("shapes") or _MOST_SHAPES
-    if (count := _shapes(found[name], {})) > most:
-        remedy = "include a smaller cell, or raise `limits.shapes`"
-        raise InputError.single(design.name, f"{key}.file", f"at most {most:g} shapes", f"{count:.3g}", remedy)
+    with limited(**design.stated_limits):
+        _require_bounded(found[name], design.name, f"{key}.file")
     for polygon in found[name].get_polygons(apply_repetitions=True, include_paths=True):
         exact = np.asarray(polygon.points) * per_unit
         corners = np.rint(exact).astype(np.int64)
@@ -134,17 +134,38 @@ def _read(design: Design, number: int, item: Include) -> IncludedCell:
     return IncludedCell(item.file.name, name, tuple(polygons), len(found[name].get_labels()))
 
 
-def _shapes(cell: gdstk.Cell, counts: dict[str, float]) -> float:
-    """Shapes of a cell with all references and repetitions expanded; infinite for one that contains itself.
+def _require_bounded(cell: gdstk.Cell, source: str, field: str) -> None:
+    """Refuse a cell that is nested too deep or without end, or that expands to too many shapes and texts."""
+    most, deepest = limit("shapes", _MOST_SHAPES), limit("depth", DEEPEST)
+    count, _ = _expansion(cell, deepest, {})
+    if math.isinf(count):
+        expected = f"cells nested at most {deepest:g} deep"
+        raise beyond(source, field, "depth", expected, "deeper ones, or one that contains itself", "flatten the cell")
+    if count > most:
+        expected = f"a cell of at most {most:g} shapes and texts"
+        raise beyond(source, field, "shapes", expected, f"{count:.3g}", "include a smaller one")
 
-    ``counts`` holds those of cells that are counted, and infinity for those that are being counted.
+
+def _expansion(
+    cell: gdstk.Cell, deepest: float, counted: dict[str, tuple[float, int]], level: int = 1
+) -> tuple[float, int]:
+    """Shapes and texts of a cell, all references and repetitions expanded, and levels of cells.
+
+    An empty reference counts as a shape. The count is infinite for a cell that contains itself, or that has more than
+    ``deepest`` levels: it is then not followed further. ``counted`` holds the cells that are counted or being counted.
     """
-    if cell.name not in counts:
-        counts[cell.name] = math.inf
-        below = [(part, _shapes(part.cell, counts)) for part in cell.references if isinstance(part.cell, gdstk.Cell)]
-        counts[cell.name] = sum(max(1, part.repetition.size) for part in (*cell.polygons, *cell.paths))
-        counts[cell.name] += sum(max(1, part.repetition.size) * each for part, each in below)
-    return counts[cell.name]
+    if level > deepest:
+        return math.inf, level
+    if cell.name not in counted:
+        counted[cell.name] = math.inf, 0
+        shapes: float = sum(max(1, part.repetition.size) for part in (*cell.polygons, *cell.paths, *cell.labels))
+        levels = 1
+        for part in cell.references:
+            if isinstance(part.cell, gdstk.Cell):
+                inner, below = _expansion(part.cell, deepest, counted, level + 1)
+                shapes, levels = shapes + max(1, part.repetition.size) * max(1, inner), max(levels, 1 + below)
+        counted[cell.name] = (shapes if levels <= deepest else math.inf), levels
+    return counted[cell.name]
 
 
 def _opened(design: Design, key: str, path: Path) -> gdstk.Library:

@@ -19,7 +19,7 @@ IntArray = NDArray[np.int64]
 _CHUNK = 1 << 16
 
 #: Deepest nesting of cells, unless the limit ``depth`` is stated; masks of a chip have fewer than twenty levels.
-_DEEPEST = 100
+DEEPEST = 100
 
 _ORIGIN = np.zeros(2, dtype=np.int64)
 
@@ -185,7 +185,7 @@ class Hierarchy:
     def _count(self, source: str) -> dict[str, tuple[int, Counter[str]]]:
         """Expanded counts of every cell, children first, without recursion (files may nest deeply)."""
         totals: dict[str, tuple[int, Counter[str]]] = {}
-        depth, deepest = dict[str, int](), limit("depth", _DEEPEST)
+        depth, deepest = dict[str, int](), limit("depth", DEEPEST)
         for top in self._cells:
             stack, open_cells = [(top, False)], set()
             while stack:

@@ -14,6 +14,7 @@ from metafab import drc, mask
 from metafab.core.errors import InputError
 from metafab.layout import Assignment
 from metafab.spec import Chip, Copy, Design
+from metafab.spec.design import Limits
 from metafab.spec.mask import Include
 from tests.layout.conftest import sizes_at_sites
 
@@ -86,25 +87,55 @@ def test_cells_beyond_the_street_are_stated(tiny: Assignment, tiny_design: Desig
     mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, replace(outside, beyond_street=True), chip=chip))
 
 
-@pytest.mark.parametrize("itself", [False, True])
-def test_cells_that_expand_to_too_much_are_refused(
-    itself: bool, tiny: Assignment, tiny_design: Design, tmp_path: Path
-) -> None:
-    """Four nested arrays of 100 x 100 are 1e16 shapes; a cell that contains itself has no end."""
+def _nested(kind: str) -> gdstk.Library:
+    """Four nested arrays of 100 x 100, of squares, of texts or of nothing, or in a circle; or a chain of cells."""
     library = gdstk.Library()
-    below = library.new_cell("A0").add(gdstk.rectangle((0, 0), (1, 1), layer=20))
-    for number in range(1, 5):
-        array = gdstk.Reference(below, columns=100, rows=100, spacing=(2.0, 2.0))
+    below = library.new_cell("A0")
+    if kind == "texts":
+        below.add(gdstk.rectangle((0, 0), (1, 1), layer=20), gdstk.Label("LOT 7", (0, 0)))
+        below.labels[0].repetition = gdstk.Repetition(columns=2000, rows=2000, spacing=(2.0, 2.0))
+        return library
+    if kind != "nothing":
+        below.add(gdstk.rectangle((0, 0), (1, 1), layer=20))
+    side, levels = (1, 30_000) if kind == "deep" else (100, 4)
+    for number in range(1, 1 + levels):
+        array = gdstk.Reference(below, columns=side, rows=side, spacing=(2.0, 2.0))
         below = library.new_cell(f"A{number}").add(array)
-    if itself:
-        library.cells[0].add(gdstk.Reference(below))
-    path = tmp_path / "bomb.gds"
-    library.write_gds(path)
-    item = Include(path, "A4", at_um=(100.0, 0.0))
-    with pytest.raises(
-        InputError, match="at most 1e\\+06 shapes.*inf" if itself else "at most 1e\\+06 shapes.*1e\\+16"
-    ):
-        mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, item))
+    if kind == "circle":
+        library.cells[0].add(gdstk.Reference(library["A3"]))
+    return library
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("squares", r"at most 1e\+06 shapes.*1e\+16.*limits\.shapes"),
+        ("nothing", r"at most 1e\+06 shapes.*1e\+16"),
+        ("texts", r"at most 1e\+06 shapes and texts.*4e\+06"),
+        ("circle", "at most 100 deep.*contains itself"),
+        ("deep", r"at most 100 deep.*limits\.depth"),
+    ],
+)
+def test_cells_that_expand_to_too_much_are_refused(
+    kind: str, message: str, tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    """Before gdstk expands them: a chain of 30 000 cells would overflow its stack and end the process."""
+    library, path = _nested(kind), tmp_path / "bomb.oas"
+    library.write_oas(path)
+    top = library.top_level()[0].name
+    with pytest.raises(InputError, match=message):
+        mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, Include(path, top, at_um=(100.0, 0.0))))
+
+
+def test_stated_limits_hold_for_included_cells(
+    tiny: Assignment, tiny_design: Design, shop: Path, tmp_path: Path
+) -> None:
+    """SHOP draws four shapes and a text in two levels."""
+    design = with_shop(tiny_design, Include(shop, "SHOP", at_um=(100.0, 0.0)))
+    mask.write(tiny.pillars, tmp_path, replace(design, limits=Limits(shapes=5, depth=2)))
+    for limits, named in ((Limits(shapes=4), "at most 4 shapes"), (Limits(depth=1), "at most 1 deep")):
+        with pytest.raises(InputError, match=named):
+            mask.write(tiny.pillars, tmp_path, replace(design, limits=limits))
 
 
 @pytest.mark.parametrize(
