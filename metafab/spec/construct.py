@@ -30,16 +30,21 @@ def make_unit_cell(
     side: Side = "substrate",
     shape: Literal["rectangle", "ellipse", "circle", "cross", "ring"] = "rectangle",
     lattice: Literal["rectangular", "hexagonal"] = "rectangular",
+    wall_nm: float | None = None,
+    inner_diameter_nm: float | None = None,
     target_error: float = 2e-3,
 ) -> UnitCell:
     """Make a unit cell; InputError with all faults.
 
     ``period_nm`` is one number or (x, y); ``pillar``, ``substrate`` and ``ambient`` are refractive indices n + ik, or
     names of material records. ``sizes_nm`` are the smallest and largest width and length of a pillar, ``size_grid_nm``
-    their step. ``side`` is where the light comes from; ``target_error`` is the largest error of complex t in a library.
+    their step. A ring has ``wall_nm``, the thickness of its wall, or ``inner_diameter_nm``. ``side`` is where the light
+    comes from; ``target_error`` is the largest error of complex t in a library.
     """
+    hole = {"wall_nm": wall_nm, "inner_diameter_nm": inner_diameter_nm}
     table = {
-        "cell": {"period_nm": period_nm, "height_nm": height_nm, "shape": shape, "lattice": lattice},
+        "cell": {"period_nm": period_nm, "height_nm": height_nm, "shape": shape, "lattice": lattice}
+        | {name: value for name, value in hole.items() if value is not None},
         "materials": {"pillar": _material(pillar), "substrate": _material(substrate), "ambient": _material(ambient)},
         "illumination": {"wavelength_nm": wavelength_nm, "side": side},
         "sweep": {

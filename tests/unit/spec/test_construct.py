@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -33,6 +34,23 @@ def test_a_cell_in_python_is_the_cell_of_the_file() -> None:
     assert made.illumination == read.illumination
     assert made.sweep == read.sweep
     assert (made.materials.pillar.n, made.materials.pillar.k) == (read.materials.pillar.n, read.materials.pillar.k)
+
+
+def test_a_ring_in_python_has_a_wall_or_a_hole() -> None:
+    ring = partial(
+        make_unit_cell,
+        period_nm=400,
+        height_nm=600,
+        pillar=2.0,
+        substrate=1.46,
+        wavelength_nm=633,
+        sizes_nm=(200, 300),
+        shape="ring",
+    )
+    assert ring(wall_nm=60).cell.hole_nm(200.0) == 80.0
+    assert ring(inner_diameter_nm=90).cell.hole_nm(200.0) == 90.0
+    with pytest.raises(InputError, match="got neither"):
+        ring()
 
 
 def test_a_design_in_python_is_the_design_of_the_file() -> None:
