@@ -307,6 +307,10 @@ class Design(Checked):
             if length_nm and length_nm < getattr(self.rules, rule) - 1e-6:
                 got = f"{getattr(self.rules, rule):g} nm"
                 yield f"`rules.{rule}` must be at most {length_nm:g} nm, the drawn `{name}` of the unit cell, got {got}"
+        ratio, cell = self.rules.max_aspect_ratio, self.unit_cell.cell
+        if ratio is not None and cell.wall_nm and cell.height_nm > ratio * cell.wall_nm + 1e-6:
+            least = f"{cell.height_nm / cell.wall_nm:.4g}, the height over `wall_nm` of the unit cell"
+            yield f"`rules.max_aspect_ratio` must be at least {least}, got {ratio:g}"
         if any(copy.bias_nm for copy in self.mask.copies):
             yield "`mask.copies` with a `bias_nm` are not available for rings; use `mask.bias_nm`"
         if self.rules.cd_sigma_nm > 0.0:
