@@ -83,10 +83,11 @@ class Shapes:
         quadrants = tuple(self.quadrants_nm[size] for size in sizes.tolist()) if self.quadrants_nm else ()
         return Shapes(self.size_nm[sizes], self.area_nm2[sizes], self.sides_nm[sizes], self.has_corners, quadrants)
 
-    def parts(self, range_nm: float, *, on_axis: bool = False) -> Iterator[Part]:
+    def parts(self, range_nm: float, *, on_axis: bool = False, finer: int = 1) -> Iterator[Part]:
         """Rectangles whose energies of a Gaussian add up to that of each shape.
 
-        ``on_axis`` counts the upper half twice in place of the lower one, for energies at y = 0.
+        ``on_axis`` counts the upper half twice in place of the lower one, for energies at y = 0; ``finer`` divides the
+        steps along round outlines.
         """
         if not self.quadrants_nm or range_nm >= _WIDE * float(self.size_nm.max(initial=0.0)):
             box = self.sides_nm.prod(axis=1)
@@ -96,7 +97,7 @@ class Shapes:
             return
         mirrors = 1 if on_axis else 2
         for refined, weight in ((1, -1.0 / 3.0), (2, 4.0 / 3.0)):  # Richardson's extrapolation of the step to 0
-            strips = [_strips(quadrant, _STEP * range_nm, refined) for quadrant in self.quadrants_nm]
+            strips = [_strips(quadrant, _STEP / finer * range_nm, refined) for quadrant in self.quadrants_nm]
             padded = np.zeros((max(len(strip) for strip in strips), 3, len(strips)))
             for size, strip in enumerate(strips):
                 padded[: len(strip), :, size] = strip
