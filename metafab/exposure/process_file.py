@@ -56,9 +56,15 @@ def fitted_process(
             read, with places without a pillar, doses that are not positive or means that no pillar has; or sizes that
             do not determine the parameters.
     """
+    outline, shape, unavailable = Outline.of(design), design.unit_cell.cell.shape, "not available with the fit"
     classes = Fault("mask.dose", "one dose for all pillars", "dose classes", "fit a mask without them")
-    shape = Fault("cell.shape", "rectangles with sharp corners", Outline.of(design).shape, "not available with the fit")
-    refused = [(design.mask.dose is not None, classes), (not Outline.of(design).is_rectangle, shape)]
+    corners = Fault("mask.draw_corners", "rectangles with sharp corners", "true", unavailable)
+    curved = Fault("cell.shape", "'rectangle'", repr(shape), unavailable)
+    refused = [
+        (design.mask.dose is not None, classes),
+        (outline.shape == "rounded", corners),
+        (shape in {"circle", "ellipse"}, curved),
+    ]
     start = exposure_process(design, [fault for holds, fault in refused if holds])
     measured = read_measured(table, ("copy", "dose", "focus_um", *_CORNER))
     corner: dict[str, Any] = {

@@ -146,8 +146,8 @@ def _at_wavelength(job: Job, wavelength_nm: float) -> Job:
     for light in job.design.light:
         if light.wavelength_nm == wavelength_nm and not light.angles_deg:
             return job.at_light(light)
-    listed = ", ".join(f"{light.wavelength_nm:g}" for light in job.design.light)
-    expected = f"a wavelength of the design's `light` tables ({listed or 'it has none'})"
+    listed = ", ".join(f"{light.wavelength_nm:g}" for light in job.design.light if not light.angles_deg)
+    expected = f"a wavelength, along the axis, of the design's `light` tables ({listed or 'it has none'})"
     raise InputError.single("psf", "--wavelength-nm", expected, f"{wavelength_nm:g}", "add a [[light]] to the design")
 
 
