@@ -78,7 +78,7 @@ class Outline:
     def walls_and_holes(self, size_dbu: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Walls along x and y, shape (n, 2) like the sizes, and diameters of the holes, shape (n,), of drawn rings.
 
-        Of other shapes the walls are the sizes, and the holes those of the largest integer: none.
+        Other shapes have no holes: the sizes themselves, and the largest integer, which keeps every rule of gaps.
         """
         if self.shape != "ring":
             return size_dbu, np.full(len(size_dbu), np.iinfo(np.int32).max, dtype=np.int32)

@@ -28,8 +28,8 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 TILE_SITES = 512
 #: Shortest range that reaches beyond the nearest neighbours, in distances of these.
 _MIDDLE_PERIODS = 0.3
-#: (rows, columns) of sites whose energy is summed in closed form: all within two distances of neighbours, of which the
-#: columns of a hexagonal lattice are half.
+#: (rows, columns) of sites whose energy is summed in closed form: all nearer than two distances of neighbours. Columns
+#: of a hexagonal lattice are half of that distance apart.
 _NEAR, _NEAR_HEXAGONAL = (1, 1), (2, 3)
 
 
