@@ -295,19 +295,23 @@ class Design(Checked):
 
     def _faults_of_rings(self) -> Iterator[str]:
         """Walls and holes that the mask cannot draw, or that break the rules at every outer diameter."""
-        (wall_nm, hole_nm), unit_nm = self.drawn_ring_nm, self.mask.database_unit_nm
-        if self.unit_cell.cell.shape != "ring":
+        cell, (wall_nm, hole_nm), unit_nm = self.unit_cell.cell, self.drawn_ring_nm, self.mask.database_unit_nm
+        if cell.shape != "ring":
             return
         for name, length_nm, step_nm, rule in (
             ("wall_nm", wall_nm, unit_nm, "min_feature_nm"),
             ("inner_diameter_nm", hole_nm, 2.0 * unit_nm, "min_gap_nm"),
         ):
-            if length_nm and abs(length_nm / step_nm - round(length_nm / step_nm)) > 1e-6:
+            if getattr(cell, name) is None:
+                continue
+            if abs(length_nm / step_nm - round(length_nm / step_nm)) > 1e-6:
                 yield f"`{name}` of the unit cell, drawn as {length_nm:g} nm, must be a multiple of {step_nm:g} nm"
-            if length_nm and length_nm < getattr(self.rules, rule) - 1e-6:
+            if length_nm <= 0.0:
+                yield f"`{name}` of the unit cell with `mask.bias_nm` must be above 0, got {length_nm:g} nm"
+            elif length_nm < getattr(self.rules, rule) - 1e-6:
                 got = f"{getattr(self.rules, rule):g} nm"
                 yield f"`rules.{rule}` must be at most {length_nm:g} nm, the drawn `{name}` of the unit cell, got {got}"
-        ratio, cell = self.rules.max_aspect_ratio, self.unit_cell.cell
+        ratio = self.rules.max_aspect_ratio
         if ratio is not None and cell.wall_nm and cell.height_nm > ratio * cell.wall_nm + 1e-6:
             least = f"{cell.height_nm / cell.wall_nm:.4g}, the height over `wall_nm` of the unit cell"
             yield f"`rules.max_aspect_ratio` must be at least {least}, got {ratio:g}"

@@ -201,6 +201,7 @@ def test_rings_keep_their_rules_and_are_read_back(
     for change, message in (
         ({"rules": replace(design.rules, min_feature_nm=70.0)}, "rules.min_feature_nm"),
         ({"mask": replace(design.mask, bias_nm=3.75)}, "multiple of 0.5 nm"),
+        ({"mask": replace(design.mask, bias_nm=-60.0)}, "must be above 0, got 0 nm"),
         ({"mask": replace(design.mask, copies=(Copy(at_um=(0.0, 0.0), bias_nm=2.0),))}, "mask.copies"),
         ({"rules": replace(design.rules, cd_sigma_nm=3.0)}, "rules.cd_sigma_nm"),
         ({"rules": replace(design.rules, max_aspect_ratio=9.9)}, "rules.max_aspect_ratio.*at least 10,"),
