@@ -35,6 +35,22 @@ def test_the_stated_error_holds(cell: PillarCell, target_error: float) -> None:
     assert distance(response, zero_order(cell, 6)) <= response.error
 
 
+@pytest.mark.parametrize(
+    ("ring", "substrate", "least"),
+    [((674.8, 508.1, 451.6, 4.102, 20.42), 1.0, 0.04), ((403.11, 339.98, 1304.7, 4.1867, 62.84), 2.3, 0.5)],
+    ids=["resonance", "not converging"],
+)
+def test_the_stated_error_of_a_ring_holds(ring: tuple[float, ...], substrate: float, least: float) -> None:
+    """Orders 3 and 4 differ by less than the error of order 4."""
+    period, width, height, n, hole = ring
+    cell = PillarCell(
+        (period, period), width, width, height, n, (substrate, substrate), 1.0, 1000.0, shape="ring", hole_nm=hole
+    )
+    response = solve(cell, CellNumerics(0.2, max_orders=4))
+    assert least < distance(response, zero_order(cell, 6)) <= response.error
+    assert distance(zero_order(cell, 3), zero_order(cell, 4)) < distance(response, zero_order(cell, 6))
+
+
 def test_a_rounded_rectangle_off_resonance_needs_order_four_alone() -> None:
     """Orders 3 and 4 take a third of the time of order 5; the bound holds against order 5, many times closer."""
     rounded = PillarCell((400.0, 400.0), 270.0, 282.0, 700.0, 2.0, (1.46, 1.46), 1.0, 633.0, corner_radius_nm=75.0)
