@@ -30,7 +30,8 @@ def oblique_field_error(
 
     Returns:
         The larger of both polarisations'; None where RCWA is slow at an angle (other outlines than rectangles, sloped
-        walls, hexagonal lattices, birefringent half spaces) or there is no pillar.
+        walls, hexagonal lattices, birefringent substrates), where light comes out of an absorbing medium, and without
+        pillars.
     """
     count = np.cumsum(pillars)
     if not count.size or count[-1] == 0:
@@ -38,8 +39,9 @@ def oblique_field_error(
     places = np.searchsorted(count, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * count[-1])
     sizes = [(float(width), float(length)) for width, length in size_nm[places]]
     straight = [pillar_cell(library.unit_cell, *size) for size in sizes]
-    n_in = complex(straight[0].n_of_angle)
-    if n_in.imag != 0.0 or any(cell.untreated("", treated=("under, over",)) for cell in straight):
+    n_in, n_substrate = complex(straight[0].n_of_angle), straight[0].n_substrate
+    is_slow = any(cell.untreated("", treated=("under, over",)) for cell in straight)
+    if is_slow or n_in.imag != 0.0 or n_substrate[0] != n_substrate[1]:
         return None
     slope = math.hypot(*tangent)
     angle_deg = math.degrees(math.asin(slope / math.hypot(1.0, slope) / n_in.real))

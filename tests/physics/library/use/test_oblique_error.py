@@ -48,3 +48,14 @@ def test_no_pillars_and_no_quick_solver_give_no_figure(smooth_library: Library) 
     unit_cell = smooth_library.unit_cell
     circles = replace(smooth_library, unit_cell=replace(unit_cell, cell=replace(unit_cell.cell, shape="ellipse")))
     assert oblique_field_error(circles, SIZES_NM, NUMBERS, (0.06, 0.0)) is None
+
+
+@pytest.mark.parametrize("substrate", [Material(n=1.76, n_y=1.768), Material(n=1.76, k=1e-3)])
+def test_substrates_that_no_oblique_light_comes_from_give_no_figure(
+    substrate: Material, smooth_library: Library
+) -> None:
+    """One without an index along z, and one that absorbs: both are fit for light along the axis."""
+    unit_cell = smooth_library.unit_cell
+    materials = replace(unit_cell.materials, substrate=substrate)
+    library = replace(smooth_library, unit_cell=replace(unit_cell, materials=materials))
+    assert oblique_field_error(library, SIZES_NM, NUMBERS, (0.06, 0.0)) is None
