@@ -105,9 +105,10 @@ def _pillar(cell: PillarCell, layer: Slice, low: float, high: float) -> list[Blo
     if cell.shape in {"ellipse", "ring"} or cell.corner_radius_nm:
         curves = [(half_x, half_y, epsilon)]
         if cell.shape == "ring":
-            # Both sides of a sloped wall recede alike. The hole's block comes after the pillar's.
-            half_hole = max(0.0, 5e-4 * (cell.hole_nm + cell.width_nm) - half_x)
-            curves.append((half_hole, half_hole, permittivity((layer.n_around, layer.n_around))))
+            # Both sides of a sloped wall recede alike and may close the hole. Its block comes after the pillar's.
+            half_hole = 5e-4 * (cell.hole_nm + cell.width_nm) - half_x
+            if half_hole > 0.0:
+                curves.append((half_hole, half_hole, permittivity((layer.n_around, layer.n_around))))
         return [
             Block((-x, -y, low), (x, y, high), eps, outline=tuple((u, v) for u, v in _curve(cell, x, y).tolist()))
             for x, y, eps in curves

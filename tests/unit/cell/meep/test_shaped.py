@@ -68,6 +68,15 @@ def test_a_ring_is_a_circle_with_a_block_of_the_ambient_in_it(angle_deg: float) 
     assert 2e3 * middle.high[0] == pytest.approx(180.0, abs=0.0 if angle_deg == 90.0 else 5.0)
 
 
+def test_a_hole_that_a_sloped_wall_closes_has_no_block() -> None:
+    """The hole of 20 nm at half height closes where the wall stands out by 10 nm."""
+    ring = replace(CIRCLE, shape="ring", hole_nm=20.0, sidewall_angle_deg=86.0)
+    circles = [block for block in blocks_of(ring) if block.outline]
+    assert all(block.low[0] < 0.0 < block.high[0] for block in circles)
+    holes = [block for block in circles if block.epsilon[0] == pytest.approx(complex(ring.n_ambient) ** 2)]
+    assert 0 < len(holes) < len(circles) - len(holes)
+
+
 def test_a_sloped_pillar_has_a_step_for_each_pixel_of_its_height() -> None:
     cell = replace(CIRCLE, sidewall_angle_deg=85.0)
     for member in (1, 2):
