@@ -24,7 +24,7 @@ class OpenOrders:
 
     side: Side  #: "substrate" or "ambient".
     count: int  #: Their number, without the zero order.
-    largest_period_nm: float  #: Period below which none propagates at normal incidence.
+    largest_period_nm: float  #: Period below which none propagates, at the angle of incidence.
     #: Share of the incident light in them, mean of three sizes of the sweep, x polarisation; likewise y.
     share_x: float
     share_y: float

@@ -61,9 +61,8 @@ class PillarCell:
     #: Cross-section within width and length: a rectangle, an ellipse (a circle if both are equal), a cross or a ring.
     shape: Shape = "rectangle"
     corner_radius_nm: float = 0.0  #: Radius of the rectangle's four vertical edges, at most half a side.
-    hole_nm: float = (
-        0.0  #: Diameter of the hole of a ring, between 0 and its width; the hole is filled with the ambient.
-    )
+    #: Diameter of the hole of a ring, between 0 and its width; the hole is filled with the ambient.
+    hole_nm: float = 0.0
 
     @property
     def is_shaped(self) -> bool:
@@ -142,9 +141,8 @@ class PillarCell:
         Returns:
             One fault for each field that differs and is not in ``treated``.
         """
-        outline = {"ellipse": "circles or ellipses", "cross": "crosses", "ring": "rings"}.get(
-            self.shape, "rounded corners"
-        )
+        outlines = {"ellipse": "circles or ellipses", "cross": "crosses", "ring": "rings"}
+        outline = outlines.get(self.shape, "rounded corners")
         special = {
             "angle_deg": (self.angle_deg != 0.0, "0", f"{self.angle_deg:g}"),
             "under, over": (bool(self.under or self.over), "no layers", "layers"),

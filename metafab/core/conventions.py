@@ -56,11 +56,6 @@ def wrap_phase(phase_rad: ArrayLike) -> FloatArray:
     return np.asarray(math.pi - np.mod(math.pi - phase, 2.0 * math.pi), dtype=np.float64)
 
 
-def power_transmittance(t: ArrayLike, n_in: complex, n_out: complex) -> FloatArray:
-    """Zero-order power transmittance |t|^2 Re(n_out) / Re(n_in) at normal incidence, in the shape of ``t``."""
-    return np.asarray(np.abs(np.asarray(t)) ** 2 * (n_out.real / n_in.real), dtype=np.float64)
-
-
 def image_distance_mm(focal_length_mm: float, depth_m: float) -> float:
     """Image distance s' of an object at ``depth_m``: 1/s' = 1/f - 1/depth; ``math.inf`` is a valid depth.
 
