@@ -355,6 +355,8 @@ def save_psf(
         sampling.append(design.substrate)
     if job.nominal is not None:
         sampling.append(design.wavelength_um)
+    if job.light is not None and job.light.angles_deg:
+        sampling.append(job.light.angles_deg)
     optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, sampling))
 
 
