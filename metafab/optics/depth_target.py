@@ -21,7 +21,7 @@ from itertools import product
 import numpy as np
 
 from metafab.core.errors import InputError
-from metafab.optics.geometry.imaging import Imaging, field_tangents
+from metafab.optics.geometry.imaging import Imaging, field_corner
 from metafab.optics.measures.space_variance import wavefront_change_rad
 from metafab.spec import Design
 
@@ -76,18 +76,18 @@ def field_points(design: Design, error: float) -> tuple[int, int] | None:
     None if more points than a design may have are needed; those of the design if it has no scene.
     """
     imaging, depth_m = Imaging.of(design), design.sensor.focus_depth_m
-    corners = field_tangents(replace(design, verify=replace(design.verify, field_points=(2, 2))), imaging)
-    if corners is None:
+    corner = field_corner(design, imaging)
+    if corner is None:
         return design.verify.field_points
     largest_rad = (error / _FIELD_ERROR_PER_RAD4) ** 0.25
 
     def step_rad(axis: int, points: int) -> float:
         """Largest difference of the wavefronts of the two outermost of ``points`` directions."""
         steps = []
-        for corner in product(*corners):
-            inner = [float(t) for t in corner]
+        for outer in product(*((-reach, reach) for reach in corner)):
+            inner = list(outer)
             inner[axis] *= 1.0 - 2.0 / (points - 1)
-            tangents = ((inner[0], inner[1]), (float(corner[0]), float(corner[1])))
+            tangents = ((inner[0], inner[1]), (outer[0], outer[1]))
             steps += [wavefront_change_rad(imaging, p, tangents, depth_m) for p in (0, 1)]
         return max(steps)
 

@@ -458,13 +458,12 @@ def _psf(job: Job) -> PsfFigures:
 
 def _oblique_error(job: Job, pillars: PillarMap) -> float | None:
     """Change of the pillars' light from the corner of the field; None without a field."""
-    from metafab import optics
     from metafab.library.use.oblique_error import oblique_field_error
+    from metafab.optics.geometry.imaging import Imaging, field_corner
 
-    field = optics.field_tangents(job.design, optics.Imaging.of(job.design))
-    if field is None:
+    corner = field_corner(job.design, Imaging.of(job.design))
+    if corner is None:
         return None
-    corner = (float(field[0][-1]), float(field[1][-1]))
     return oblique_field_error(open_library(job), pillars.size_nm(), pillars.numbers(), corner)
 
 

@@ -163,6 +163,14 @@ def field_tangents(design: Design, imaging: Imaging) -> FieldGrid | None:
     return _axis(columns, count_x, imaging), _axis(rows, count_y, imaging)
 
 
+def field_corner(design: Design, imaging: Imaging) -> Tangent | None:
+    """Return the direction (x/z, y/z) of a corner of the scene's image; None for a design without a scene."""
+    if design.scene is None:
+        return None
+    rows, columns = design.scene.field_px
+    return _reach(columns, imaging), _reach(rows, imaging)
+
+
 def _plates(design: Design) -> tuple[Plate, ...]:
     """The substrate for x and y polarisation; empty if its thickness ``optics.substrate_um`` is 0."""
     if design.optics is None or design.optics.substrate_um == 0.0:
@@ -210,5 +218,10 @@ def _deflection(design: Design, polarisation: Polarisation, own: tuple[float, fl
 
 def _axis(pixels: int, count: int, imaging: Imaging) -> FloatArray:
     """``count`` directions over ``pixels`` pixels about the axis; a single one is the axis itself."""
-    reach = 0.5 * pixels * imaging.pixel_um / imaging.sensor_distance_um if count > 1 else 0.0
+    reach = _reach(pixels, imaging) if count > 1 else 0.0
     return np.linspace(-reach, reach, count)
+
+
+def _reach(pixels: int, imaging: Imaging) -> float:
+    """Tangent of the outermost direction of ``pixels`` pixels about the axis."""
+    return 0.5 * pixels * imaging.pixel_um / imaging.sensor_distance_um

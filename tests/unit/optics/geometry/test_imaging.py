@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from metafab.core.errors import InputError
 from metafab.optics import Imaging, depth_nodes, field_tangents
+from metafab.optics.geometry.imaging import field_corner
 from metafab.spec import Design, load_design
 from tests.main_job import ROOT
 
@@ -77,3 +78,11 @@ def test_field_tangents_span_the_images_rows_and_columns(small_design: Design) -
     assert (t_x.size, t_y.size) == small_design.verify.field_points
     assert np.ptp(t_x) * imaging.sensor_distance_um == pytest.approx(columns * imaging.pixel_um)
     assert np.ptp(t_y) * imaging.sensor_distance_um == pytest.approx(rows * imaging.pixel_um)
+
+
+def test_the_corner_of_the_field_does_not_depend_on_the_field_points(small_design: Design) -> None:
+    imaging = Imaging.of(small_design)
+    t_x, t_y = field_tangents(small_design, imaging)
+    single = replace(small_design, verify=replace(small_design.verify, field_points=(1, 1)))
+    assert field_corner(small_design, imaging) == field_corner(single, imaging) == (t_x[-1], t_y[-1])
+    assert field_corner(replace(small_design, scene=None), imaging) is None
