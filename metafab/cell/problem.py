@@ -110,11 +110,8 @@ def _refuse_for_rcwa(cell: PillarCell, numerics: CellNumerics) -> None:
         remedy = "rings, and round pillars of a hexagonal lattice, are solved by spectral elements alone"
         faults = [replace(fault, remedy=remedy) for fault in curved.untreated(cell)]
         if numerics.formulation != "adaptive":
-            faults.append(
-                Fault(
-                    "formulation", "adaptive for rings, and for ellipses in a hexagonal lattice", numerics.formulation
-                )
-            )
+            expected = "adaptive for rings, and for ellipses in a hexagonal lattice"
+            faults.append(Fault("formulation", expected, numerics.formulation))
     if numerics.solver != "rcwa":
         faults.append(Fault("solver", "rcwa for a hexagonal lattice", numerics.solver))
     if faults:

@@ -102,7 +102,7 @@ def _faults_of_corners(cell: PillarCell) -> Iterator[Fault]:
         yield Fault("width_nm, length_nm", f"a cross within {min(cell.period_nm):g} nm", f"{longer:g} nm")
     if cell.shape == "ring" and longer > 0.0 and not (shorter == longer and 0.0 < cell.hole_nm < longer):
         got = f"{cell.width_nm:g} x {cell.length_nm:g} nm with a hole of {cell.hole_nm:g} nm"
-        yield Fault("width_nm, length_nm", "a ring's outer diameter, larger than its hole, as both", got)
+        yield Fault("width_nm, length_nm", "both a ring's outer diameter, larger than its hole above 0", got)
     elif cell.shape != "ring" and cell.hole_nm:
         yield Fault("hole_nm", f"0 for the shape {cell.shape}", f"{cell.hole_nm:g} nm")
 

@@ -121,11 +121,8 @@ def symmetry_classes(
             or an absorbing one; or the pillar is a ring.
     """
     if cell.shape == "ring":
-        expected, remedy = (
-            "another shape for RCWA",
-            "rings stand upright, of dielectrics, under light along z, or use meep",
-        )
-        raise InputError.single("cell", "shape", expected, "'ring'", remedy)
+        remedy = "upright rings of dielectrics are solved under light along z, others by meep"
+        raise InputError.single("cell", "shape", "another shape for RCWA", "'ring'", remedy)
     layers = layers_of(cell, steps)
     if cell.is_staggered:
         x, y, counts = _staggered_axes(cell, orders, formulation)
