@@ -60,11 +60,9 @@ def light_tangent(design: Design, light: Light) -> tuple[float, float]:
 
     InputError if no light of the air has that angle in the medium of incidence.
     """
-    from metafab.materials import refractive_index
+    from metafab.cell import pillar_cell
 
-    materials, side = design.unit_cell.materials, design.unit_cell.illumination.side
-    medium = materials.substrate if side == "substrate" else materials.ambient
-    n = refractive_index(medium, light.wavelength_nm)[0].real
+    n = complex(pillar_cell(design.unit_cell, 0.0, 0.0, wavelength_nm=light.wavelength_nm).n_of_angle).real
     tangents = []
     for axis, angle_deg in (("angle_x_deg", light.angle_x_deg), ("angle_y_deg", light.angle_y_deg)):
         sine = n * math.sin(math.radians(angle_deg))

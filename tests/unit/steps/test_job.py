@@ -10,7 +10,7 @@ import h5py
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.spec import Design, Light
+from metafab.spec import Design, Light, Material
 from metafab.spec.cell import Axes
 from metafab.steps.job import Job, light_tangent
 from metafab.steps.optics import save_psf
@@ -26,6 +26,10 @@ def test_light_refracts_into_the_air_and_its_object_stands_on_the_other_side(sma
     from_air = replace(small_design.unit_cell.illumination, side="ambient")
     design = replace(small_design, unit_cell=replace(small_design.unit_cell, illumination=from_air))
     assert light_tangent(design, Light(800.0, angle_y_deg=-20.0)) == pytest.approx((0.0, math.tan(math.radians(20.0))))
+    # Sapphire with its axis along x: the angle is that of ordinary light, as in the library.
+    materials = replace(small_design.unit_cell.materials, substrate=Material(n=1.768, n_y=1.7601, n_z=1.7601))
+    sapphire = replace(small_design, unit_cell=replace(small_design.unit_cell, materials=materials))
+    assert light_tangent(sapphire, light) == light_tangent(small_design, light)
     with pytest.raises(InputError, match=r"light\.angle_x_deg.*below 34\.\d+ deg in a medium of index 1\.76,"):
         light_tangent(small_design, replace(light, angle_x_deg=40.0))
 
