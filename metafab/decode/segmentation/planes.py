@@ -251,8 +251,9 @@ def _ransac_step(
     """RANSAC step: the largest connected set of cells on one plane; each cell's neighbourhood proposes a plane."""
     design = np.stack([np.ones(cells.row.size), cells.row, cells.column], axis=1)
     weight = np.where(near & remaining, 1.0 / np.where(remaining, tolerance, 1.0) ** 2, 0.0)
-    normal = np.einsum("cn,ni,nj->cij", weight, design, design)
-    right_side = np.einsum("cn,ni->ci", weight, design * np.where(remaining, cells.vergence_per_m, 0.0)[:, None])
+    products = design[:, :, None] * design[:, None, :]
+    normal = (weight @ products.reshape(-1, 9)).reshape(-1, 3, 3)
+    right_side = weight @ (design * np.where(remaining, cells.vergence_per_m, 0.0)[:, None])
     diagonal = np.prod(np.diagonal(normal, axis1=1, axis2=2), axis=1)
     enough = remaining & ((weight > 0.0).sum(axis=1) >= _FEWEST_NEIGHBOURS)
     proposing = enough & (np.linalg.det(normal) > _DEGENERATE * diagonal)

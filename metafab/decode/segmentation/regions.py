@@ -57,8 +57,9 @@ _CLEARLY_BETTER = 0.93
 _UNFIT = 2.6
 #: Side of a cell of such surfaces, frame pixels; layers that they cross within a cell, and most of their planes.
 _SURFACE_CELL_PX, _SURFACE_STEEPEST, _MOST_SURFACES = 18, 6.0, 24
-#: Most downsampled pixels of a frame whose surfaces are sought: they take 800 bytes each.
-_MOST_SURFACE_PIXELS = 400_000
+#: Most downsampled pixels and cells of a frame whose surfaces are sought. A pixel takes a kilobyte. So many cells take
+#: 0.4 GB, which grows with their square, and 4 s of processor time; frames of 1.0 to 1.3 million pixels have 4000.
+_MOST_SURFACE_PIXELS, _MOST_SURFACE_CELLS = 400_000, 4000
 #: Misfit from which a pixel is left out of its segment's depth: 12 samples of noise reach it in one of 10^3 windows.
 _LARGEST_MISFIT = 2.5
 #: Share of such pixels that changes no depth, and share of the interior that is kept at least.
@@ -514,10 +515,13 @@ class _Segmentation:
         return self.of_layers(planes + [Plane(vergence) for vergence in depths], allowed)
 
     def of_surfaces(self) -> Regions | None:
-        """Segments of the planes across a surface of semi-global matching; None without any."""
+        """Segments of the planes across a surface of semi-global matching; None without any, or of too many cells."""
         prepared, volume, separation = self.prepared, self.volume, self.separation_per_m
-        surface, step = surface_per_m(prepared, volume), prepared.downsampling.step
+        step = prepared.downsampling.step
         cells = Cells.of(volume, self.pixels.claimed & prepared.lit, step, _SURFACE_CELL_PX)
+        if cells.row.size > _MOST_SURFACE_CELLS:
+            return None
+        surface = surface_per_m(prepared, volume)
         at = np.rint(cells.row).astype(np.intp), np.rint(cells.column).astype(np.intp)
         error = np.full(at[0].shape, 0.1 * separation)
         cells = replace(cells, vergence_per_m=surface[at], error_per_m=error)
