@@ -16,7 +16,7 @@ from metafab.core.conventions import FloatArray
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.registration.downsampling import relative_slices
 from metafab.decode.segmentation.planes import Cells, Plane, distinct_planes
-from metafab.decode.segmentation.regions import Regions, measured_depth
+from metafab.decode.segmentation.regions import Regions, measured_again
 from metafab.decode.segmentation.segments import SegmentDepth
 
 Part = tuple[slice, slice]
@@ -153,6 +153,5 @@ def remeasured(regions: Regions, volume: CostVolume, step: int) -> Regions:
     number[np.array(larger) + 1] = np.arange(1, len(larger) + 1)
     depths = list(regions.depths)
     for index, cells in zip(larger, Cells.of_each(volume, number[regions.interior], len(larger), step), strict=True):
-        before = depths[index]
-        depths[index] = replace(measured_depth(volume, cells, before.plane) or before, pixels=float(sizes[index]))
+        depths[index] = measured_again(volume, cells, depths[index], float(sizes[index]), step)
     return replace(regions, depths=tuple(depths))

@@ -315,11 +315,7 @@ def without_outliers(
     number[again + 1] = np.arange(1, again.size + 1)
     depths = list(regions.depths)
     for index, cells in zip(again.tolist(), Cells.of_each(volume, number[kept], again.size, step), strict=True):
-        measured = measured_depth(volume, cells, depths[index].plane)
-        if measured is not None:
-            pixels, factor = depths[index].pixels, depths[index].error_factor
-            error = measured.relative_error * factor
-            depths[index] = replace(measured, relative_error=error, pixels=pixels, error_factor=factor)
+        depths[index] = measured_again(volume, cells, depths[index], depths[index].pixels, step)
     return replace(regions, depths=tuple(depths))
 
 
@@ -481,6 +477,23 @@ def measured_depth(volume: CostVolume, cells: Cells, layer: Plane) -> SegmentDep
     else:
         depth = segment_depth(volume, cells.whole, float(cells.size))
     return depth if depth.relative_error < LARGEST_ERROR and depth.correlation > 0.0 else None
+
+
+def measured_again(volume: CostVolume, cells: Cells, before: SegmentDepth, pixels: float, step: int) -> SegmentDepth:
+    """Depth of a segment from other cells, or the depth before if they have none.
+
+    Args:
+        volume: cost volume that holds the cells.
+        cells: of the segment.
+        before: depth of the segment; its factor of straight structure stays while the segment is narrow.
+        pixels: downsampled pixels of the segment.
+        step: frame pixels from one downsampled pixel to the next.
+    """
+    factor = before.error_factor if pixels * step**2 < _NARROW_PX else 1.0
+    measured = measured_depth(volume, cells, before.plane)
+    if measured is None or not measured.relative_error * factor < LARGEST_ERROR:
+        return replace(before, pixels=pixels)
+    return replace(measured, relative_error=measured.relative_error * factor, pixels=pixels, error_factor=factor)
 
 
 @dataclass(frozen=True)

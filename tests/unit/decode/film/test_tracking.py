@@ -166,3 +166,18 @@ def test_a_segment_that_has_grown_is_measured_again(pixels: float, again: bool) 
     assert got.depths[0].vergence_per_m == pytest.approx(2.2 if again else 2.0, abs=0.01)
     if again:
         assert remeasured(got, volume, 3) is got
+
+
+@pytest.mark.parametrize(("width", "factor"), [(6, 2.0), (50, 1.0)], ids=["narrow", "wide"])
+def test_a_narrow_segment_measured_again_keeps_the_factor_of_a_straight_outline(width: int, factor: float) -> None:
+    nodes = np.linspace(1.0, 3.0, 9)
+    rho = np.exp(-((nodes - 2.2) ** 2))
+    parts = np.stack([0.9 * rho, np.ones(9), np.ones(9)])[:, :, None, None] * np.ones(SHAPE)
+    volume = CostVolume(nodes, parts.astype(np.float32), 1.0, 0.1)
+    label = np.where((np.arange(60) < width) & (np.arange(40) < 20)[:, None], 1, 0).astype(np.int32)
+
+    def error(of: SegmentDepth) -> float:
+        return remeasured(Regions(1, (of,), label, label, label), volume, 3).depths[0].relative_error
+
+    depth = SegmentDepth(2.0, 1e-3, 0.9, 1.0, Plane(2.0), 10.0)
+    assert error(replace(depth, error_factor=2.0)) == pytest.approx(factor * error(depth))
