@@ -69,6 +69,7 @@ def rows(
         raise InputError.single("benchmark", "--only", f"some of {', '.join(names)}", ", ".join(unknown))
     chosen = {case: _seeds(case, quick, seeds) for case in CASES if not only or case.name in only}
     done, total, table = 0, sum(chosen.values()), []
+    progress("scenes", 0, total)
     for case, count in chosen.items():
         table += _rows(case, count, partial(_advance, progress, done, total))
         done += count
@@ -91,8 +92,7 @@ def _rows(case: Case, seeds: int, advance: Callable[[int], None]) -> list[dict[s
     stacks, judged = _stacks(case.lens), []
     view: DepthView | None = None
     scenes = {seed: case.scene(stacks.pixel_tangent, seed) for seed in range(1, seeds + 1)}
-    for done, kept in enumerate(stacks.frames(scenes, case.haze_e)):
-        advance(done)
+    for kept in stacks.frames(scenes, case.haze_e):
         file = KEPT / "judged" / f"{fingerprint(case.name, kept.mark, _code_sha256())[:20]}.json"
         figures = None if view is None else read_json(file, _KIND, 1, Figures.of)
         if figures is None:
@@ -107,6 +107,7 @@ def _rows(case: Case, seeds: int, advance: Callable[[int], None]) -> list[dict[s
             file.parent.mkdir(parents=True, exist_ok=True)
             write_json(file, {"kind": _KIND, "format_version": 1} | plain(figures))
         judged.append(figures)
+        advance(len(judged))
     table = np.array([one.measured for one in judged])
     mean, spread, textures = table.mean(axis=0), table.std(axis=0), find_spec("skimage")
     return [

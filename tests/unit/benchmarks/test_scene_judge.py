@@ -160,7 +160,7 @@ def test_a_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPa
         told.append((done, total))
 
     first = rows(False, only=("first_page",), seeds=3, progress=progress)
-    assert len(decoded) == 3 and told == [(0, 3), (1, 3), (2, 3)]
+    assert len(decoded) == 3 and told == [(0, 3), (1, 3), (2, 3), (3, 3)]
     again = rows(False, only=("first_page",), seeds=3)
     assert len(decoded) == 4
     assert [row["measured"] for row in again] == [row["measured"] for row in first]
