@@ -113,11 +113,16 @@ def _project(folder: Path) -> tuple[Project, float]:
     (folder / "cell.toml").write_text(_changed(cell, _COARSER), encoding="utf-8")
     path = write_new("camera", "camera", folder, folder / "cell.toml")[0]
     path.write_text(_changed(path.read_text(encoding="utf-8"), _SMALLER), encoding="utf-8")
-    project, start = Project(folder), time.perf_counter()
-    done = _metafab(*project.arguments())
+    project = Project(folder)
+    return project, _undisturbed(*project.arguments())
+
+
+def _undisturbed(*arguments: str) -> float:
+    """Seconds of a command without a fault."""
+    start, done = time.perf_counter(), _metafab(*arguments)
     if done.returncode:
-        raise RuntimeError(f"the undisturbed run failed: {done.stderr}")
-    return project, time.perf_counter() - start
+        raise RuntimeError(f"`metafab {' '.join(arguments)}` failed without a fault: {done.stderr}")
+    return time.perf_counter() - start
 
 
 def _changed(text: str, changes: Sequence[tuple[str, str]]) -> str:
@@ -131,19 +136,28 @@ def _changed(text: str, changes: Sequence[tuple[str, str]]) -> str:
 def _killed(
     project: Project, results: dict[str, bytes], whole_s: float, kills: int, rng: random.Random
 ) -> Iterator[Case]:
-    """Kill a run and a library build in turn; every fourth time, let both end and begin anew."""
+    """Kill a run and a library build in turn; every fourth time, let both end and begin anew.
+
+    A command that ended before its kill is no case, unless it failed.
+    """
     with tempfile.TemporaryDirectory() as folder:
         moved, built = project.moved(Path(folder) / "another" / "place"), Path(folder) / "library.h5"
         build = ["library", "build", str(project.folder / "cell.toml"), "-o", str(built), "--workers", "2"]
+        build_s = _undisturbed(*build)
+        built.unlink()
         for number in range(kills):
-            name, arguments = ("run", moved.arguments()) if number % 2 == 0 else ("library build", build)
-            moment_s, start = rng.uniform(0.1, 0.9) * whole_s, time.perf_counter()
+            name, arguments, takes_s = (
+                ("run", moved.arguments(), whole_s) if number % 2 == 0 else ("library build", build, build_s)
+            )
+            moment_s, start = rng.uniform(0.1, 0.9) * takes_s, time.perf_counter()
             process = _started(*arguments)
             with suppress(subprocess.TimeoutExpired):
                 process.wait(moment_s)
             process.kill()
             process.wait()
             faults = [f"process {pid} outlived its parent" for pid in _left_over(process.pid)]
+            is_killed = process.returncode == -signal.SIGKILL
+            faults += [] if is_killed else _ended(_finished(process), 0)
             faults += _differences(moved.folder, results, unfinished=True)
             if number % 4 == 3 or number == kills - 1:
                 faults += _ended(_metafab(*moved.arguments()), 0) + _differences(moved.folder, results)
@@ -152,7 +166,8 @@ def _killed(
                 shutil.rmtree(moved.run)
                 (moved.folder / "cell.h5").unlink()
                 built.unlink()
-            yield Case(f"{name} after {moment_s:.2f} s", time.perf_counter() - start, tuple(faults))
+            if is_killed or faults:
+                yield Case(f"{name} after {moment_s:.2f} s", time.perf_counter() - start, tuple(faults))
 
 
 def _killed_workers(project: Project, expected: bytes, count: int) -> Iterator[Case]:
@@ -168,10 +183,9 @@ def _killed_workers(project: Project, expected: bytes, count: int) -> Iterator[C
                 time.sleep(0.01)
             time.sleep(0.05 * number)
             for pid in victims[:1]:
-                os.kill(pid, signal.SIGKILL)
-            _, stderr = process.communicate()
+                _kill(pid)
             faults = [] if victims else ["no worker was found"]
-            faults += _ended(subprocess.CompletedProcess([], process.returncode, "", stderr), 0)
+            faults += _ended(_finished(process), 0)
             if out.is_file() and out.read_bytes() != expected:
                 faults.append("another library")
             yield Case(f"worker {number}", time.perf_counter() - start, tuple(faults))
@@ -189,8 +203,7 @@ def _second_runs(project: Project, count: int) -> Iterator[Case]:
             faults = _ended(second, 2)
             if f"process {first.pid} on host" not in second.stderr:
                 faults.append(f"the owner is not named: {second.stderr.strip()[-200:]}")
-            _, stderr = first.communicate()
-            faults += _ended(subprocess.CompletedProcess([], first.returncode, "", stderr), 0)
+            faults += _ended(_finished(first), 0)
             yield Case(f"run beside process {first.pid}", time.perf_counter() - start, tuple(faults))
 
 
@@ -292,6 +305,12 @@ def _started(*arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(**_command(*arguments), **quiet)
 
 
+def _finished(process: subprocess.Popen[str]) -> subprocess.CompletedProcess[str]:
+    """A started command at its end."""
+    _, stderr = process.communicate()
+    return subprocess.CompletedProcess([], process.returncode, "", stderr)
+
+
 def _ended(done: subprocess.CompletedProcess[str], code: int) -> list[str]:
     """Faults of a command that was to end with an exit code, and one message where that is no 0."""
     faults = [] if done.returncode == code else [f"exit {done.returncode}: {done.stderr.strip()[-200:]}"]
@@ -338,8 +357,13 @@ def _left_over(session: int) -> list[int]:
     while (left := _of_session(session)) and time.monotonic() < end:
         time.sleep(0.02)
     for pid in left:
-        os.kill(pid, signal.SIGKILL)
+        _kill(pid)
     return left
+
+
+def _kill(pid: int) -> None:
+    with suppress(ProcessLookupError):  # it has just ended
+        os.kill(pid, signal.SIGKILL)
 
 
 def _row(name: str, cases: Sequence[Case]) -> dict[str, Any]:

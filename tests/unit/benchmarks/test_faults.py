@@ -1,4 +1,4 @@
-"""The benchmark of faults: what it finds in folders and processes, and that its project runs."""
+"""The benchmark of faults: what it finds in folders and processes, and that its project is a sound design."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks import faults
+from metafab.spec import load_design
 
 
 def test_differences_are_named(tmp_path: Path) -> None:
@@ -34,6 +35,19 @@ def test_an_exit_code_and_a_traceback_are_faults() -> None:
     done = subprocess.CompletedProcess([], 1, "", "Traceback (most recent call last)\nboom")
     assert [fault.partition(":")[0] for fault in faults._ended(done, 2)] == ["exit 1", "a traceback"]
     assert faults._ended(subprocess.CompletedProcess([], 2, "", "metafab: no"), 2) == []
+
+
+def test_the_project_is_a_small_camera(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(faults, "_metafab", lambda *_: subprocess.CompletedProcess([], 0, "", ""))
+    project, _ = faults._project(tmp_path / "project")
+    assert load_design(project.design).device.aperture_um == 30.0
+    monkeypatch.setattr(faults, "_metafab", lambda *_: subprocess.CompletedProcess([], 1, "", "metafab: no"))
+    with pytest.raises(RuntimeError, match="metafab: no"):
+        faults._project(tmp_path / "another")
+
+
+def test_a_process_that_has_just_ended_needs_no_kill() -> None:
+    faults._kill((1 << 22) + 1)  # Linux gives no such number
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
