@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from metafab.core.errors import noted
+
 #: Largest scratch array that is held in memory, bytes.
 IN_MEMORY_BYTES = 1 << 28
 
@@ -17,12 +19,14 @@ IN_MEMORY_BYTES = 1 << 28
 def scratch(shape: tuple[int, ...], dtype: DTypeLike) -> NDArray[Any]:
     """Return zeros of a shape; more than :data:`IN_MEMORY_BYTES` are in an unnamed file of the temporary folder.
 
-    The file vanishes with the array. Its space is reserved now: OSError if the disk is too full.
+    The file vanishes with the array. Its space is reserved now: OSError with a note of the folder if the disk is too
+    full.
     """
     byte_count = int(np.prod(shape, dtype=object)) * np.dtype(dtype).itemsize
     if byte_count <= IN_MEMORY_BYTES:
         return np.zeros(shape, dtype)
-    with tempfile.TemporaryFile() as stream:
+    place = f"{1e-9 * byte_count:.2g} GB of scratch in {tempfile.gettempdir()}; `TMPDIR` names another folder"
+    with noted(place), tempfile.TemporaryFile() as stream:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(stream.fileno(), 0, byte_count)
         else:

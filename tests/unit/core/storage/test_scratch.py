@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gc
 import os
 from collections.abc import Callable
@@ -61,3 +62,17 @@ def test_the_file_vanishes_with_the_array(tmp_path: Path, monkeypatch: pytest.Mo
     gc.collect()
     assert list(tmp_path.iterdir()) == []
     assert links_into(tmp_path) == 0
+
+
+@pytest.mark.usefixtures("on_disk")
+@pytest.mark.skipif(not hasattr(os, "posix_fallocate"), reason="space is not reserved on this system")
+def test_a_full_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(OSError, match="No space left") as caught:
+        scratch((1 << 20,), np.uint16)
+    assert caught.value.__notes__ == [f"0.0021 GB of scratch in {tmp_path}; `TMPDIR` names another folder"]
+    assert list(tmp_path.iterdir()) == []
