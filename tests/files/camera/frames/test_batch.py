@@ -16,9 +16,14 @@ from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 
+#: Textures of the first change with the seed, those of the second do not.
 SCENES = (
     Scene(objects=(SceneObject(depth_m=0.003, size=(0.04, 0.04)),), field_px=(40, 48)),
-    Scene(objects=(SceneObject(depth_m=0.0028, size=(0.03, 0.04)),), field_px=(40, 48), full_well_e=4000.0),
+    Scene(
+        objects=(SceneObject(depth_m=0.0028, size=(0.03, 0.04), texture="checker"),),
+        field_px=(40, 48),
+        full_well_e=4000.0,
+    ),
 )
 
 
