@@ -144,12 +144,17 @@ def misfit_at(
 
 
 def fitting_segments(
-    label: NDArray[np.int32], own: Misfit, misfit_of: Callable[[int], Misfit], reach: float
+    label: NDArray[np.int32],
+    spoiled: NDArray[np.bool_],
+    own: Misfit,
+    misfit_of: Callable[[int], Misfit],
+    reach: float,
 ) -> tuple[NDArray[np.int32], Misfit]:
     """Give pixels that do not fit their segment to a segment nearby that they fit, where it is connected with them.
 
     Args:
         label: shape (n_y, n_x), number of each pixel's segment; 0 for none.
+        spoiled: shape (n_y, n_x), pixels about saturated or invalid ones; they stay, as their misfit tells nothing.
         own: misfit of each pixel at its segment's depth.
         misfit_of: returns the misfit of all pixels at the depth of a segment, by its number.
         reach: largest distance of the other segment, pixels.
@@ -157,7 +162,7 @@ def fitting_segments(
     Returns:
         The segments, and the misfit at their depths.
     """
-    asked = own.is_foreign & (label > 0)
+    asked = own.is_foreign & (label > 0) & ~spoiled
     moved, over_noise, of_texture = np.zeros_like(label), own.over_noise.copy(), own.of_texture.copy()
     for number in range(1, int(label.max(initial=0)) + 1) if asked.any() else ():
         near = asked & (label != number) & (distance(label == number) <= reach)

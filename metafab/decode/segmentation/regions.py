@@ -203,8 +203,8 @@ def find_regions(
     def misfit_of(number: NDArray[np.int32], model_error: float | None = None) -> Misfit:
         return misfit_at(prepared, volume, regions.vergence_per_m(number), regions.interior, model_error)
 
-    def at_segment(number: int, model_error: float) -> Misfit:
-        return misfit_of(np.full(label.shape, number, dtype=np.int32), model_error)
+    def at_segment(number: int) -> Misfit:
+        return misfit_of(np.full(label.shape, number, dtype=np.int32), own.model_error)
 
     own, moving, step = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool), prepared.downsampling.step
     for _ in range(robust_rounds):
@@ -217,7 +217,7 @@ def find_regions(
         own = misfit_of(label)
     if optics is not None:
         reach = _OUTLINE_REACH_PX / step
-        owner, own = fitting_segments(label, own, lambda number: at_segment(number, own.model_error), reach)
+        owner, own = fitting_segments(label, prepared.spoiled, own, at_segment, reach)
         regions = with_owners(regions, owner)
         label = regions.grown
     across, away = across_outlines(label)

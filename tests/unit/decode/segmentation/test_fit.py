@@ -71,9 +71,11 @@ def test_pixels_go_to_a_connected_segment_that_they_fit() -> None:
         return Misfit(values, share, 0.01)
 
     own = Misfit(over, share, 0.01)
-    moved, fits = fitting_segments(label, own, misfit_of, 40.0)
+    spoiled = np.zeros(label.shape, dtype=bool)
+    moved, fits = fitting_segments(label, spoiled, own, misfit_of, 40.0)
     expected = label.copy()
     expected[wedge] = 2
     np.testing.assert_array_equal(moved, expected)
     np.testing.assert_array_equal(fits.over_noise, np.where(moved == label, over, np.float32(1.5)))
-    np.testing.assert_array_equal(fitting_segments(label, own, misfit_of, 3.0)[0][5:12, 22:27], 1)
+    np.testing.assert_array_equal(fitting_segments(label, spoiled, own, misfit_of, 3.0)[0][5:12, 22:27], 1)
+    np.testing.assert_array_equal(fitting_segments(label, ~spoiled, own, misfit_of, 40.0)[0], label)
