@@ -6,10 +6,9 @@ import subprocess
 import sys
 import time
 
-import numpy as np
 import pytest
 
-from metafab.core.parallel.measure import measured, resident_mb
+from metafab.core.parallel.measure import measured
 
 #: Each in an interpreter of its own: a process remembers the largest worker that it ever had.
 WORKER = """
@@ -37,6 +36,14 @@ with measured() as cost:
 with measured() as after:
     pass
 print(cost.peak_rss_mb, after.peak_rss_mb)
+"""
+HELD = """
+import numpy as np
+from metafab.core.parallel.measure import resident_mb
+
+before = resident_mb()
+held = np.ones(5_000_000)
+print(before, resident_mb())
 """
 
 
@@ -69,6 +76,5 @@ def test_processor_time_counts_work_and_no_waiting() -> None:
 
 
 def test_the_resident_set_follows_what_is_held() -> None:
-    before = resident_mb()
-    held = np.ones(5_000_000)
-    assert resident_mb() - before == pytest.approx(held.nbytes / 1e6, rel=0.1)
+    before, after = _megabytes(HELD)
+    assert after - before == pytest.approx(40.0, rel=0.1)
