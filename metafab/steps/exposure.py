@@ -94,8 +94,8 @@ def expose_mask(
     of ``mask.copies``, counted from 1. ``keep_sizes`` keeps the printed sizes of all pillars, ``keep_plain`` the size
     errors with one dose beside those of the correction.
 
-    InputError if the design has no ``[process.exposure]``, a key of it is not available with the exposure, or the file
-    holds shapes that are no pillars of the lattice.
+    InputError if the design has no ``[process.exposure]``, a key of it is not available with the exposure, the file
+    holds shapes that are no pillars of the lattice, or pillars have doses of their own, which are not read.
     """
     from metafab import exposure, mask
     from metafab.exposure.expose import base_dose_to_size
@@ -104,12 +104,20 @@ def expose_mask(
     expected, remedy = "copies without a bias of their own", "correct each variant as a design of its own"
     biased = correct and any(copy.bias_nm for copy in design.mask.copies)
     further = [Fault("mask.copies", expected, "biased copies", remedy)] if biased else []
+    dose = design.mask.dose
+    if dose is not None and (dose.by == "proximity" or not correct):
+        got, remedy = f"classes by {dose.by}", "expose the plain mask with its own design"
+        further.append(Fault("mask.dose", "one dose for all pillars: doses of classes are not read", got, remedy))
     process = exposure.exposure_process(design, further)
     lens = design.mask.copies[copy - 1] if 1 <= copy <= len(design.mask.copies) else None
     in_focus, outline = exposure.beam_psf(process), Outline.of(design)
     psf = in_focus if lens is None else exposure.beam_psf(process, lens.focus_um)
     back = mask.read(path, design, progress=work.progress, copy=copy)
     back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
+    if classes := sorted(name for name in back.other_layers if name.split("/")[0] == str(design.mask.layer)):
+        got, remedy = f"also {classes[0]} and {len(classes) - 1} more", "expose the mask without dose classes"
+        expected = f"pillars on layer {design.mask.layer}, datatype {design.mask.datatype} alone"
+        raise InputError.single(str(path), "layers", expected, got, remedy)
     ratio, plain = process.base_over_clearing_dose, None
     if ratio is None and psf.blur_nm != in_focus.blur_nm:  # All copies share the base dose, that of the best focus.
         ratio = base_dose_to_size(back.pillars, in_focus, outline, work)

@@ -279,6 +279,14 @@ def test_discs_are_printed_and_corrected(tmp_path: Path) -> None:
         edges = [sum(d * polygon_energy(beam, p - (x + dx, y)) for p, d in polygons) for dx in (half, -half)]
         assert float(row["energy_edge_x"]) == pytest.approx(0.5 * ratio * sum(edges), abs=2e-4)
         assert float(row["printed_width_nm"]) == pytest.approx(2.0 * half, abs=0.5)
+    # Doses of classes are not read: neither the plain design nor that of the classes predicts this mask by one dose.
+    again = metafab("expose", tmp_path / "out" / "layout.oas", "--design", path, "--json")
+    assert (again.code, again.stdout) == (2, "")
+    assert "datatype 0 alone" in again.stderr
+    by_class = design_file(tmp_path / "classed.toml", path, READ_BACK)
+    again = metafab("expose", tmp_path / "out" / "layout.oas", "--design", by_class, "--json")
+    assert again.code == 2
+    assert "`mask.dose`: expected one dose" in again.stderr
     classed = replace(plain, mask=replace(plain.mask, dose=Dose(by="proximity", classes=16)))
     back = mask.read(tmp_path / "out" / "layout.oas", classed)
     assert np.array_equal(sizes_at_sites(back.pillars), table[index])
