@@ -179,7 +179,7 @@ def _killed_workers(project: Project, expected: bytes, count: int) -> Iterator[C
             process = _started("library", "build", cell, "-o", str(out), "--workers", "2")
             victims: list[int] = []
             while not victims and process.poll() is None:
-                victims = [pid for pid in _of_session(process.pid) if pid != process.pid]
+                victims = [pid for pid in processes_of(process.pid) if pid != process.pid]
                 time.sleep(0.01)
             time.sleep(0.05 * number)
             for pid in victims[:1]:
@@ -338,7 +338,7 @@ def _differences(folder: Path, expected: dict[str, bytes], *, unfinished: bool =
     return sorted(changed + [f"{name} in one of them only" for name in expected.keys() ^ found.keys()])
 
 
-def _of_session(session: int) -> list[int]:
+def processes_of(session: int) -> list[int]:
     """Processes of a session that are no zombies."""
     alive = []
     for folder in Path("/proc").glob("[0-9]*"):
@@ -354,7 +354,7 @@ def _of_session(session: int) -> list[int]:
 def _left_over(session: int) -> list[int]:
     """Processes of a session that live on after the time that they may, which are ended."""
     end = time.monotonic() + OUTLIVED_S
-    while (left := _of_session(session)) and time.monotonic() < end:
+    while (left := processes_of(session)) and time.monotonic() < end:
         time.sleep(0.02)
     for pid in left:
         _kill(pid)

@@ -115,7 +115,8 @@ def expose_mask(
     back = mask.read(path, design, progress=work.progress, copy=copy)
     back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
     if classes := sorted(name for name in back.other_layers if name.split("/")[0] == str(design.mask.layer)):
-        got, remedy = f"also {classes[0]} and {len(classes) - 1} more", "expose the mask without dose classes"
+        more = f" and {len(classes) - 1} more" if len(classes) > 1 else ""
+        got, remedy = f"shapes on {classes[0]}{more}", "expose the mask without dose classes"
         expected = f"pillars on layer {design.mask.layer}, datatype {design.mask.datatype} alone"
         raise InputError.single(str(path), "layers", expected, got, remedy)
     ratio, plain = process.base_over_clearing_dose, None

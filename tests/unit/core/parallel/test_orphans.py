@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.faults import processes_of
 from tests.main_job import ROOT
 
 _POOL = """
@@ -43,19 +44,6 @@ PROGRAMS = {
 }
 
 
-def _of_session(session: int) -> list[int]:
-    """Processes of a session that are no zombies."""
-    alive = []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            state, _, _, of_session = (folder / "stat").read_text().rpartition(")")[2].split()[:4]
-        except OSError:
-            continue
-        if int(of_session) == session and state != "Z":
-            alive.append(int(folder.name))
-    return alive
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 @pytest.mark.parametrize("program", PROGRAMS.values(), ids=PROGRAMS.keys())
 def test_no_process_outlives_its_killed_parent(program: str, tmp_path: Path) -> None:
@@ -69,14 +57,14 @@ def test_no_process_outlives_its_killed_parent(program: str, tmp_path: Path) -> 
     process.stdout.readline()
     time.sleep(0.3)
     try:
-        assert len(_of_session(process.pid)) > 2
+        assert len(processes_of(process.pid)) > 2
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
         end = time.monotonic() + 2.0
-        while (left := _of_session(process.pid)) and time.monotonic() < end:
+        while (left := processes_of(process.pid)) and time.monotonic() < end:
             time.sleep(0.05)
         assert left == []
     finally:
-        for pid in _of_session(process.pid):
+        for pid in processes_of(process.pid):
             os.kill(pid, signal.SIGKILL)
         process.stdout.close()
