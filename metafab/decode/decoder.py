@@ -30,7 +30,8 @@ from metafab.decode.registration.twins import TwinGrid
 from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.regions import Regions, find_regions, textured_pixel_depth
+from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
+from metafab.decode.segmentation.segments import Regions
 from metafab.optics.point_spread import Psf
 
 #: Candidate depths. The correlation between them is smooth enough for its peak: that of a spline for segments, that of

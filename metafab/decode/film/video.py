@@ -31,7 +31,8 @@ from metafab.decode.registration.downsampling import relative_slices, repeated
 from metafab.decode.registration.pedestal import without_pedestal
 from metafab.decode.registration.twins import Twins, extract_part
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.regions import Regions, find_regions, layer_separation_per_m, near_texture
+from metafab.decode.segmentation.regions import find_regions, layer_separation_per_m, near_texture
+from metafab.decode.segmentation.segments import Regions
 
 #: Share of changed pixels from which a whole frame is decoded anew, with levels of its own.
 _MOST_CHANGED = 0.6

@@ -23,8 +23,7 @@ from metafab.decode.registration.downsampling import enlarged, relative_slices, 
 from metafab.decode.registration.twins import TwinGrid
 from metafab.decode.segmentation.distance import distance
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
-from metafab.decode.segmentation.regions import Regions
-from metafab.decode.segmentation.segments import grown
+from metafab.decode.segmentation.segments import Regions, grown
 
 #: Width of the bands of one depth in which tilted segments are deconvolved, as a share of the calibrated range: images
 #: are 0.006 dB worse than in bands of a quarter of it.

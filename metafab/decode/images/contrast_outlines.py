@@ -19,7 +19,7 @@ from metafab.core.numeric.compiled import compiled
 from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.fit import across_outlines, connected_moves
-from metafab.decode.segmentation.regions import Regions
+from metafab.decode.segmentation.segments import Regions
 
 #: Side of the window whose light gives a ratio, frame pixels.
 _WINDOW_PX = 7

@@ -17,10 +17,12 @@ from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
 from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.matching.semi_global import cheapest_levels
 from metafab.decode.segmentation.distance import distance, nearest
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
+from metafab.decode.segmentation.segments import Regions
 
 #: Side of the window over which the null energy is averaged, frame pixels.
 _WINDOW_PX = 13
@@ -37,6 +39,11 @@ _LEVELS = 4
 #: Prices of a change by one level and of a jump, in logarithms of the misfit. Half or twice as much of either changes
 #: the mean error of the Middlebury motorcycle by less than a tenth.
 _CHANGE, _JUMP = 0.65, 6.5
+
+#: Rounds of the reweighted fit of a plane to a segment's pixels.
+_REFITS = 3
+#: Square of a pixel's distance from its segment, in standard errors, from which it is an outlier.
+_OUTLIER = 16.0
 
 
 @dataclass(frozen=True)
@@ -216,3 +223,37 @@ def across_outlines(label: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArra
     # The nearest pixel along an outline may lie beyond it: then it belongs to the other segment.
     same = label[row, column] == label
     return np.where(same, beside[row, column], label[row, column]).astype(np.int32), away
+
+
+def plane_misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_], free: int) -> float:
+    """Mean square distance of the pixels' depths from robust fits to their segments, in standard errors.
+
+    Args:
+        pixels: depth of each pixel.
+        inside: shape (n_y, n_x), pixels that count; those without a segment count as outliers.
+        free: fitted parameters of each segment: its depth (1), or its depth and slopes (3).
+
+    Returns:
+        The misfit, at most ``_OUTLIER``; inf without pixels.
+    """
+    if not inside.any():
+        return float("inf")
+    error = (pixels.relative_error * pixels.vergence_per_m)[inside]
+    away = (pixels.vergence_per_m - regions.vergence_per_m(regions.grown))[inside] / error
+    number, place = regions.grown[inside], np.nonzero(inside)
+    for one in np.unique(number[number > 0]).tolist():
+        mask = number == one
+        row, column = (axis[mask].astype(np.float64) for axis in place)
+        away[mask] = _plane_residual(away[mask], error[mask], free, row, column)
+    return float(np.minimum(np.nan_to_num(away * away, nan=_OUTLIER), _OUTLIER).mean())
+
+
+def _plane_residual(away: FloatArray, error: FloatArray, free: int, row: FloatArray, column: FloatArray) -> FloatArray:
+    """Residual of a plane of ``free`` parameters, fitted to distances in standard errors by robust least squares."""
+    design = np.stack([np.ones_like(row), row - row.mean(), column - column.mean()][:free], axis=1) / error[:, None]
+    left = away
+    for _ in range(_REFITS):
+        weight = 1.0 / (1.0 + left * left / _OUTLIER)
+        normal = design.T @ (design * weight[:, None])
+        left = away - design @ (np.linalg.pinv(normal, hermitian=True) @ (design.T @ (weight * away)))
+    return left

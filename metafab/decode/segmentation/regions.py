@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening
 
-from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR, right_segment
 from metafab.decode.matching.cost_volume import CostVolume, correlation
@@ -21,6 +20,7 @@ from metafab.decode.segmentation.fit import (
     fitting_segments,
     log_misfit,
     misfit_at,
+    plane_misfit,
     surface_per_m,
 )
 from metafab.decode.segmentation.layer_light import LayerOptics
@@ -28,6 +28,7 @@ from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, fit_plane, ransac_planes
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
 from metafab.decode.segmentation.segments import (
+    Regions,
     SegmentDepth,
     adjacency,
     assign_layers,
@@ -70,10 +71,6 @@ ROBUST_ROUNDS = 3
 _SETTLED = 0.25
 #: Parameters of a plane that are fitted to a segment's pixels: its depth, or its depth and slopes.
 _MOVED, _TILTED = 1, 3
-#: Rounds of the reweighted fit of a plane to a segment's pixels.
-_REFITS = 3
-#: Square of a pixel's distance from its segment, in standard errors, from which it is an outlier.
-_OUTLIER = 16.0
 #: Distance from an outline up to which a window, with the pair's main lobes, contains it; frame pixels.
 _OUTLINE_REACH_PX = 40
 #: Distance from an outline beyond which light that does not fit is not that of the other side, frame pixels.
@@ -84,54 +81,6 @@ _NARROW_PX = 2 * WINDOW_PX**2
 _MANY_LAYERS = 5
 #: A segment is a stripe of a plane if its pixels' depths differ at most this many times as much from the plane.
 _STRIPE_RATIO = 1.25
-
-
-@dataclass(frozen=True)
-class Regions:
-    """The segments of a frame, on the downsampled pixels."""
-
-    layers: int  #: Number of depths at which many pixels lie.
-    depths: tuple[SegmentDepth, ...]  #: Depth of each segment, in the order of their numbers.
-    label: NDArray[np.int32]  #: Shape (n_y, n_x), number of each pixel's segment from 1; 0 for none.
-    interior: NDArray[np.int32]  #: Shape (n_y, n_x), ``label`` where the segment's depth is measured; 0 elsewhere.
-    grown: NDArray[np.int32]  #: Shape (n_y, n_x), ``label`` grown over the pixels along the outlines.
-    #: Shape (n_y, n_x), probability that a pixel of ``grown`` is in the right segment; None for certainty.
-    right: FloatArray | None = None
-    continuous: bool = False  #: Whether segments are pieces of surfaces, which no model of few layers explains.
-
-    def within(self, rows: slice, columns: slice) -> Regions:
-        """The segments in a part of the window, with the same numbers."""
-        depths = tuple(replace(one, plane=one.plane.moved(-rows.start, -columns.start)) for one in self.depths)
-        part = (rows, columns)
-        right = None if self.right is None else self.right[part]
-        part_of = (self.label[part], self.interior[part], self.grown[part])
-        return Regions(self.layers, depths, *part_of, right, self.continuous)
-
-    def vergence_per_m(self, label: NDArray[np.int32]) -> FloatArray:
-        """1/depth of each pixel's segment, for a label of shape (n_y, n_x): the same shape; NaN for none."""
-        one = np.array([np.nan, *(depth.vergence_per_m for depth in self.depths)])
-        vergence = one[label]
-        for number, depth in enumerate(self.depths, start=1):
-            if depth.plane.tilted:
-                np.copyto(vergence, depth.plane.over(label.shape), where=label == number)
-        return vergence
-
-    def bands(self, label: NDArray[np.int32], step_per_m: float) -> tuple[NDArray[np.int32], FloatArray]:
-        """Cut tilted segments into bands of one depth, ``step_per_m`` of vergence apart; ``label`` counts from 1.
-
-        Returns the number of each pixel's band from 1, shape (n_y, n_x), and 1/depth of each band, (n_bands,).
-        """
-        if not any(depth.plane.tilted for depth in self.depths):
-            return label, np.array([depth.vergence_per_m for depth in self.depths])
-        vergence, bands = self.vergence_per_m(label), np.zeros(label.shape, dtype=np.int32)
-        of_bands: list[float] = []
-        for number, depth in enumerate(self.depths, start=1):
-            mask = label == number
-            step = np.round((vergence[mask] - depth.vergence_per_m) / step_per_m)
-            steps, place = np.unique(step, return_inverse=True)
-            bands[mask] = len(of_bands) + 1 + place
-            of_bands += (depth.vergence_per_m + steps * step_per_m).tolist()
-        return bands, np.array(of_bands)
 
 
 def layer_separation_per_m(volume: CostVolume) -> float:
@@ -347,7 +296,7 @@ def _find_regions(
     inside = pixels.claimed & (regions.interior > 0)
     if not (refined and inside.any() and inside.size <= _MOST_SURFACE_PIXELS):
         return regions
-    if misfit(regions, pixels, inside, _TILTED) < _UNFIT:
+    if plane_misfit(regions, pixels, inside, _TILTED) < _UNFIT:
         return regions
     surfaces = segmentation.of_surfaces()
     if surfaces is None or len(surfaces.depths) >= len(regions.depths):
@@ -383,42 +332,8 @@ def _of_layers_or_planes(segmentation: _Segmentation, coarse: list[Plane], *, re
     # Next to outlines, where depths mix, more layers always fit better.
     inside = pixels.claimed & (regions.interior > 0)
     # Outliers leave a segment's depth only later: finer layers may move, but a slope must not pass for their steps.
-    moved, tilted = misfit(of_noise, pixels, inside, _MOVED), misfit(regions, pixels, inside, _TILTED)
+    moved, tilted = plane_misfit(of_noise, pixels, inside, _MOVED), plane_misfit(regions, pixels, inside, _TILTED)
     return of_noise if moved < _CLEARLY_BETTER * tilted else regions
-
-
-def misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_], free: int) -> float:
-    """Mean square distance of the pixels' depths from robust fits to their segments, in standard errors.
-
-    Args:
-        pixels: depth of each pixel.
-        inside: shape (n_y, n_x), pixels that count; those without a segment count as outliers.
-        free: fitted parameters of each segment: its depth (1), or its depth and slopes (3).
-
-    Returns:
-        The misfit, at most ``_OUTLIER``; inf without pixels.
-    """
-    if not inside.any():
-        return float("inf")
-    error = (pixels.relative_error * pixels.vergence_per_m)[inside]
-    away = (pixels.vergence_per_m - regions.vergence_per_m(regions.grown))[inside] / error
-    number, place = regions.grown[inside], np.nonzero(inside)
-    for one in np.unique(number[number > 0]).tolist():
-        mask = number == one
-        row, column = (axis[mask].astype(np.float64) for axis in place)
-        away[mask] = _plane_residual(away[mask], error[mask], free, row, column)
-    return float(np.minimum(np.nan_to_num(away * away, nan=_OUTLIER), _OUTLIER).mean())
-
-
-def _plane_residual(away: FloatArray, error: FloatArray, free: int, row: FloatArray, column: FloatArray) -> FloatArray:
-    """Residual of a plane of ``free`` parameters, fitted to distances in standard errors by robust least squares."""
-    design = np.stack([np.ones_like(row), row - row.mean(), column - column.mean()][:free], axis=1) / error[:, None]
-    left = away
-    for _ in range(_REFITS):
-        weight = 1.0 / (1.0 + left * left / _OUTLIER)
-        normal = design.T @ (design * weight[:, None])
-        left = away - design @ (np.linalg.pinv(normal, hermitian=True) @ (design.T @ (weight * away)))
-    return left
 
 
 def distinct_layers(regions: Regions, layers: list[Plane]) -> list[Plane]:

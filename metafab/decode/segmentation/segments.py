@@ -58,6 +58,54 @@ class SegmentDepth:
     error_factor: float = 1.0  #: Factor in ``relative_error`` for structure along one straight line.
 
 
+@dataclass(frozen=True)
+class Regions:
+    """The segments of a frame, on the downsampled pixels."""
+
+    layers: int  #: Number of depths at which many pixels lie.
+    depths: tuple[SegmentDepth, ...]  #: Depth of each segment, in the order of their numbers.
+    label: NDArray[np.int32]  #: Shape (n_y, n_x), number of each pixel's segment from 1; 0 for none.
+    interior: NDArray[np.int32]  #: Shape (n_y, n_x), ``label`` where the segment's depth is measured; 0 elsewhere.
+    grown: NDArray[np.int32]  #: Shape (n_y, n_x), ``label`` grown over the pixels along the outlines.
+    #: Shape (n_y, n_x), probability that a pixel of ``grown`` is in the right segment; None for certainty.
+    right: FloatArray | None = None
+    continuous: bool = False  #: Whether segments are pieces of surfaces, which no model of few layers explains.
+
+    def within(self, rows: slice, columns: slice) -> Regions:
+        """The segments in a part of the window, with the same numbers."""
+        depths = tuple(replace(one, plane=one.plane.moved(-rows.start, -columns.start)) for one in self.depths)
+        part = (rows, columns)
+        right = None if self.right is None else self.right[part]
+        part_of = (self.label[part], self.interior[part], self.grown[part])
+        return Regions(self.layers, depths, *part_of, right, self.continuous)
+
+    def vergence_per_m(self, label: NDArray[np.int32]) -> FloatArray:
+        """1/depth of each pixel's segment, for a label of shape (n_y, n_x): the same shape; NaN for none."""
+        one = np.array([np.nan, *(depth.vergence_per_m for depth in self.depths)])
+        vergence = one[label]
+        for number, depth in enumerate(self.depths, start=1):
+            if depth.plane.tilted:
+                np.copyto(vergence, depth.plane.over(label.shape), where=label == number)
+        return vergence
+
+    def bands(self, label: NDArray[np.int32], step_per_m: float) -> tuple[NDArray[np.int32], FloatArray]:
+        """Cut tilted segments into bands of one depth, ``step_per_m`` of vergence apart; ``label`` counts from 1.
+
+        Returns the number of each pixel's band from 1, shape (n_y, n_x), and 1/depth of each band, (n_bands,).
+        """
+        if not any(depth.plane.tilted for depth in self.depths):
+            return label, np.array([depth.vergence_per_m for depth in self.depths])
+        vergence, bands = self.vergence_per_m(label), np.zeros(label.shape, dtype=np.int32)
+        of_bands: list[float] = []
+        for number, depth in enumerate(self.depths, start=1):
+            mask = label == number
+            step = np.round((vergence[mask] - depth.vergence_per_m) / step_per_m)
+            steps, place = np.unique(step, return_inverse=True)
+            bands[mask] = len(of_bands) + 1 + place
+            of_bands += (depth.vergence_per_m + steps * step_per_m).tolist()
+        return bands, np.array(of_bands)
+
+
 def depth_layers(pixels: PixelDepth, separation_per_m: float) -> FloatArray:
     """Vergences (1/m) of layers: peaks of the histogram of the pixels' depths, strongest first, shape (n_layers,).
 

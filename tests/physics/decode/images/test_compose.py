@@ -12,8 +12,7 @@ from metafab.decode import Decoder, Image4D, decode
 from metafab.decode.images.compose import depth_maps, power_without_noise
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.segmentation.planes import Plane
-from metafab.decode.segmentation.regions import Regions
-from metafab.decode.segmentation.segments import SegmentDepth
+from metafab.decode.segmentation.segments import Regions, SegmentDepth
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from metafab.decode.film.tracking import planes_around, remeasured, track
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.segmentation.planes import Plane
-from metafab.decode.segmentation.regions import Regions
-from metafab.decode.segmentation.segments import SegmentDepth
+from metafab.decode.segmentation.segments import Regions, SegmentDepth
 
 SHAPE, STEP_PER_M = (40, 60), 0.1
 PART, ABOUT = (slice(10, 30), slice(20, 40)), (slice(5, 35), slice(15, 45))

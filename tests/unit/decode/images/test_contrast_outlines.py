@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.segmentation.planes import Plane
-from metafab.decode.segmentation.regions import Regions
-from metafab.decode.segmentation.segments import SegmentDepth
+from metafab.decode.segmentation.segments import Regions, SegmentDepth
 
 STEP, SHAPE = 4, (40, 60)
 EDGE = 30

@@ -9,8 +9,8 @@ from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.segmentation.fit import Misfit
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side
-from metafab.decode.segmentation.regions import Regions, foreign_light, layer_separation_per_m, planes_across
-from metafab.decode.segmentation.segments import SegmentDepth
+from metafab.decode.segmentation.regions import foreign_light, layer_separation_per_m, planes_across
+from metafab.decode.segmentation.segments import Regions, SegmentDepth
 
 NODES = np.linspace(1.5, 3.5, 13)
 SHAPE = (96, 120)
