@@ -140,11 +140,12 @@ def rows_of(room: str, *, quick: bool = False, progress: Progress = silent, **op
 def load_room(room: str) -> Any:
     """Import the benchmark of a room from the ``benchmarks`` folder beside the package."""
     repository = Path(__file__).parent.parent
-    if not (repository / "benchmarks" / f"{room}.py").is_file():
+    path = next((repository / "benchmarks").glob(f"*/{room}.py"), None)
+    if path is None:
         raise MissingToolError(
             "the benchmarks live in metafab's repository: clone it, run .ci/setup there, and call "
             ".venv/bin/metafab benchmark"
         )
     if str(repository) not in sys.path:
         sys.path.insert(0, str(repository))
-    return import_module(f"benchmarks.{room}")
+    return import_module(f"benchmarks.{path.parent.name}.{room}")

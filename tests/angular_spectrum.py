@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.direct_sum import incident_wave
+from benchmarks.optics.direct_sum import incident_wave
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.optics.geometry.imaging import Imaging

@@ -111,8 +111,8 @@ class CellGeometry(Checked):
     def _faults(self) -> Iterator[str]:
         if self.is_hexagonal and (self.shape == "cross" or self.corner_radius_nm):
             yield (
-                "`shape`, `corner_radius_nm`: pillars of a hexagonal lattice are rectangles, circles or ellipses; "
-                "crosses and rounded corners are not available there"
+                "`shape`, `corner_radius_nm`: pillars of a hexagonal lattice are rectangles, ellipses, circles or "
+                "rings; crosses and rounded corners are not available there"
             )
         if self.corner_radius_nm and self.shape != "rectangle":
             yield f"`corner_radius_nm` rounds a rectangle's corners, not those of the shape {self.shape!r}"

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import files
-from benchmarks.hostile_files import Mask, mutated
+from benchmarks.mask import files
+from benchmarks.mask.hostile_files import Mask, mutated
 from metafab.core.errors import InputError
 
 #: Files of each format; the benchmark reads more.

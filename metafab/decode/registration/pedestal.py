@@ -1,7 +1,7 @@
 """Pedestal of a frame: light that forms no image (bare substrate, stray light), and a black level left in the counts.
 
 It is measured at the frame's edge, which the field stop keeps dark. The edge is cut into blocks, and the darkest of
-them that are equal within their noise are averaged. A frame without a dark edge has no pedestal that it could tell.
+them that are equal within their noise are averaged. Without a dark edge no pedestal can be told from the scene.
 """
 
 from __future__ import annotations

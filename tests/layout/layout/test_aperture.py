@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import shapely
 
-from benchmarks.direct_sum import direct_irradiance
+from benchmarks.optics.direct_sum import direct_irradiance
 from metafab import drc, layout, mask, optics
 from metafab.layout import Aperture
 from metafab.library import Library

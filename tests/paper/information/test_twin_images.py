@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.twin_images import most_likely_defocus, twin_images
+from benchmarks.mask.twin_images import most_likely_defocus, twin_images
 from metafab.information.texture import Texture
 from metafab.phase import Pupil, propose
 from metafab.phase.optimise.blind import BlindInformation

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.direct_sum import direct_irradiance
+from benchmarks.optics.direct_sum import direct_irradiance
 from metafab.core.conventions import FloatArray, image_distance_mm, sensor_distance_um, wrap_phase
 from metafab.optics import Imaging, PsfNumerics, psf, relative_l2
 from metafab.optics.geometry.path import Ray

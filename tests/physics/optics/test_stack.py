@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from benchmarks.direct_sum import direct_irradiance
+from benchmarks.optics.direct_sum import direct_irradiance
 from metafab.core.conventions import FloatArray
 from metafab.optics import Imaging, Psf, PsfNumerics, psf, relative_l2
 from metafab.optics.sources.source import Source

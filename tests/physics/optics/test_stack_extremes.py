@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from benchmarks.direct_sum import direct_irradiance
+from benchmarks.optics.direct_sum import direct_irradiance
 from metafab.core.errors import InputError
 from metafab.core.parallel.work import Work
 from metafab.layout.pillars import Lattice

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.direct_sum import direct_irradiance
+from benchmarks.optics.direct_sum import direct_irradiance
 from metafab.core.errors import InputError
 from metafab.optics import PsfNumerics, psf, relative_l2
 from metafab.optics.geometry.path import Ray, power_at_aperture

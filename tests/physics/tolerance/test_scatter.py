@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.direct_sum import direct_irradiance
+from benchmarks.optics.direct_sum import direct_irradiance
 from metafab import library
 from metafab.core.conventions import FloatArray
 from metafab.layout.pillars import PillarMap

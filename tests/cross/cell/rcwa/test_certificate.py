@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.fourier_limit import fourier_limit
+from benchmarks.cell.fourier_limit import fourier_limit
 from metafab.cell import CellNumerics, PillarCell
 from metafab.cell.rcwa import solve, zero_order
 from metafab.cell.rcwa.jones import ZeroOrder

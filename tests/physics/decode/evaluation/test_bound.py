@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks.decode import window_errors
+from benchmarks.decode.decode import window_errors
 from metafab.camera import capture
 from metafab.core.conventions import FloatArray
 from metafab.decode import Decoder, DepthBound

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmarks.direct_sum import direct_irradiance
+from benchmarks.optics.direct_sum import direct_irradiance
 from metafab.optics import Imaging, PsfNumerics, psf, relative_l2
 from metafab.optics.geometry.path import Ray
 from metafab.optics.geometry.plate import Plate, focus_shift_um

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.direct_sum import direct_irradiance
+from benchmarks.optics.direct_sum import direct_irradiance
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.optics import PsfNumerics, psf, relative_l2

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.special import j1
 
-from benchmarks.direct_sum import direct_irradiance
+from benchmarks.optics.direct_sum import direct_irradiance
 from metafab.core.errors import InputError
 from metafab.optics import Apodisation, Imaging, PsfNumerics, apodised, psf, relative_l2
 from metafab.optics.sources.source import IdealField

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.direct_sum import direct_irradiance
+from benchmarks.optics.direct_sum import direct_irradiance
 from metafab.layout.pillars import Lattice
 from metafab.optics import PsfNumerics, ideal_field, psf, relative_l2
 from metafab.optics.sources.source import IdealField

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.faults import processes_of
+from benchmarks.pipeline.faults import processes_of
 from tests.main_job import ROOT
 
 _POOL = """

@@ -55,7 +55,7 @@ def test_blocks_beyond_memory_are_refused() -> None:
 
 def test_high_numerical_aperture_keeps_the_stated_error() -> None:
     """NA 0.8 without a split, scalar as the direct sum is: the compiled pass uses blocks of few sites."""
-    from benchmarks.direct_sum import direct_irradiance
+    from benchmarks.optics.direct_sum import direct_irradiance
     from metafab.optics import psf
 
     optics = Imaging(0.8, 0.0225, 0.0, 22.5, 0.2, 60.0)
@@ -70,7 +70,7 @@ def test_high_numerical_aperture_keeps_the_stated_error() -> None:
 @pytest.mark.parametrize(("pixel_um", "window_px"), [(0.01, 4), (0.01, 16), (0.05, 4), (0.3, 16)])
 def test_the_dark_core_of_a_vortex_keeps_the_stated_error(pixel_um: float, window_px: int) -> None:
     """What is left there is a thousandth and less of the ring: errors are of the light that cancels."""
-    from benchmarks.direct_sum import direct_irradiance
+    from benchmarks.optics.direct_sum import direct_irradiance
     from metafab.optics import psf
 
     optics, f = Imaging(0.8, 0.3, 0.0, 300.0, pixel_um, 60.0), 300.0

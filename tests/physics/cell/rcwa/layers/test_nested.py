@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import j1
 
-from benchmarks.fourier_limit import fourier_limit
+from benchmarks.cell.fourier_limit import fourier_limit
 from metafab.cell import CellNumerics, PillarCell, rcwa, solve
 from metafab.cell.rcwa.derivatives import derivatives
 from metafab.cell.rcwa.jones import distance, zero_order
