@@ -15,7 +15,10 @@ _SECONDS, _SECONDS_OF_A_BYTE, _SECONDS_OF_A_SITE = 4.0, 4e-7, 1e-4
 
 
 class Budget:
-    """Inflated bytes, and processor time by records, which all passes over a file share; ``sites`` are the design's."""
+    """Bytes of inflated blocks and of lists, and processor time by records, which all passes over a file share.
+
+    ``sites`` are the design's.
+    """
 
     def __init__(self, path: Path, sites: int) -> None:
         self._source = str(path)
@@ -25,10 +28,10 @@ class Budget:
         self._mb = self._seconds = 0.0
 
     def inflate(self, size: int) -> None:
-        """Spend bytes that a block inflates to; InputError for more than the limit ``memory_mb``."""
+        """Spend bytes that a block or a list expands to; InputError for more than the limit ``memory_mb``."""
         self._mb += 1e-6 * size
         if self._mb > self._most_mb:
-            expected = f"blocks of at most {self._most_mb:.0f} MB"
+            expected = f"blocks and lists of at most {self._most_mb:.0f} MB"
             raise beyond(self._source, "file", "memory_mb", expected, "more")
 
     def work(self, seconds: float) -> None:

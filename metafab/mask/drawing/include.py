@@ -17,16 +17,23 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.core.storage.limits import beyond, limit, limited
 from metafab.layout.geometry import whole_dbu
+from metafab.mask.budget import Budget
 from metafab.mask.drawing.clearance import boxes_of, require_apart, require_clear_of_lenses, require_within_frame
 from metafab.mask.drawing.surroundings import Surroundings, surroundings
+from metafab.mask.gdsii.reader import GdsiiReader
+from metafab.mask.oasis.reader import OasisReader
 from metafab.mask.shapes.hierarchy import DEEPEST, IntArray
 from metafab.spec import Design
 from metafab.spec.mask import Include
 
 #: Corners that every GDSII reader takes, and largest distance of a corner from the grid (database units).
 _MOST_CORNERS, _ON_GRID = 8190, 1e-3
-#: Shapes and texts that a cell may expand to unless the limit ``shapes`` is stated: about 1 kB each.
-_MOST_SHAPES = 1_000_000
+#: Shapes and texts that a cell may expand to unless the limit ``shapes`` is stated, and corners of a shape: 1 kB.
+_MOST_SHAPES, _CORNERS_OF_A_SHAPE = 1_000_000, 64
+#: Default of the limit ``memory_mb``: gdstk inflates all blocks of a file, and holds some 250 bytes a shape besides.
+_MOST_MB = 256.0
+#: No layer is wanted: every shape is counted, none is kept.
+_NO_LAYER = (-1, 0, -1)
 
 
 @dataclass(frozen=True)
@@ -151,14 +158,18 @@ def _expansion(
 ) -> tuple[float, int]:
     """Shapes and texts of a cell, all references and repetitions expanded, and levels of cells.
 
-    An empty reference counts as a shape. The count is infinite for a cell that contains itself, or that has more than
-    ``deepest`` levels: it is then not followed further. ``counted`` holds the cells that are counted or being counted.
+    A shape counts once for every :data:`_CORNERS_OF_A_SHAPE` corners or part of them, an empty reference as one. The
+    count is infinite for a cell that contains itself, or that has more than ``deepest`` levels: it is then not followed
+    further. ``counted`` holds the cells that are counted or being counted.
     """
     if level > deepest:
         return math.inf, level
     if cell.name not in counted:
         counted[cell.name] = math.inf, 0
-        shapes: float = sum(max(1, part.repetition.size) for part in (*cell.polygons, *cell.paths, *cell.labels))
+        outlines = (outline for path in cell.paths for outline in path.to_polygons())
+        shapes: float = sum(max(1, label.repetition.size) for label in cell.labels)
+        for polygon in (*cell.polygons, *outlines):
+            shapes += max(1, polygon.repetition.size) * math.ceil(polygon.size / _CORNERS_OF_A_SHAPE)
         levels = 1
         for part in cell.references:
             if isinstance(part.cell, gdstk.Cell):
@@ -169,10 +180,16 @@ def _expansion(
 
 
 def _opened(design: Design, key: str, path: Path) -> gdstk.Library:
-    """Read a file by its first bytes."""
+    """Read a file by its first bytes, after our own reader has spent its budget on all blocks, lists and records."""
     try:
         with path.open("rb") as stream:
             is_oasis = stream.read(6) == b"%SEMI-"
+        with limited(**design.stated_limits), limited(memory_mb=_MOST_MB):
+            budget = Budget(path, sites=0)
+            if is_oasis:
+                OasisReader(path, _NO_LAYER, skip_blocks=False, budget=budget)
+            else:
+                GdsiiReader(path, _NO_LAYER, budget=budget)
         return gdstk.read_oas(str(path)) if is_oasis else gdstk.read_gds(str(path))
     except (OSError, RuntimeError) as error:
         expected = "a GDSII or OASIS file"

@@ -7,7 +7,7 @@ integer is the magnitude shifted left, with the sign in bit 0.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -27,6 +27,8 @@ _LARGEST_REPETITION = 1 << 28
 _LARGEST_PLACE = 1 << 40
 #: Copies and bytes that are handled at a time.
 _BLOCK = 1 << 16
+#: Bytes that a place of a repetition and a corner of a point list take while they are read: two and three pairs.
+_BYTES_OF_A_PLACE, _BYTES_OF_A_CORNER = 32, 48
 
 
 class DamagedError(Exception):
@@ -242,11 +244,17 @@ class Stream:
     """The bytes of a file or of an inflated block, and a position in them; each method reads an element and moves on.
 
     DamagedError from its methods, where the data end or hold no such element.
+
+    Args:
+        data: shape (n,).
+        position: of the first element.
+        spend: gets the bytes that a list takes before it is read.
     """
 
-    def __init__(self, data: ByteArray, position: int = 0) -> None:
+    def __init__(self, data: ByteArray, position: int = 0, spend: Callable[[int], None] = lambda size: None) -> None:
         self.data = data
         self.position = position
+        self.spend = spend
 
     @property
     def exhausted(self) -> bool:
@@ -333,6 +341,7 @@ class Stream:
             return Copies(int(read.copies), read)
         if read.copies - 1 > self.data.size - self.position:
             raise DamagedError("the data end inside a repetition")
+        self.spend(_BYTES_OF_A_PLACE * read.copies)
         offsets = np.zeros((read.copies, 2), dtype=np.int64)
         end = read_displacements(self.data, self.position, read.form, offsets)
         if end < 0:
@@ -349,6 +358,7 @@ class Stream:
             raise DamagedError("the data end inside a point list")
         if kind > 5:
             raise DamagedError(f"a point list of type {kind}")
+        self.spend(_BYTES_OF_A_CORNER * count)
         moves = np.zeros((count, 2), dtype=np.int64)
         end = read_moves(self.data, self.position, kind, moves)
         if end < 0:

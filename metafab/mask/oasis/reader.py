@@ -160,7 +160,7 @@ class _Pass:
         self._pillars_only = False
         self._block_at: int | None = None
         self._outer: Stream | None = None
-        self._stream = Stream(reader.data, len(MAGIC))
+        self._stream = Stream(reader.data, len(MAGIC), reader.budget.inflate)
         self._modal = Modal()
         self._cell: Cell | None = None if place is None else Cell()
         self._implicit_names = 0
@@ -171,7 +171,7 @@ class _Pass:
         if place is not None:
             block, position = place
             if block is not None:
-                self._stream = Stream(reader.data, block + 1)
+                self._stream = Stream(reader.data, block + 1, reader.budget.inflate)
                 self._enter_block()
             self._stream.position = position
         self._passed = (self._outer or self._stream).position
@@ -265,7 +265,7 @@ class _Pass:
             raise DamagedError(f"a CBLOCK that cannot be inflated ({error})") from error
         if len(data) != size:
             raise DamagedError("a CBLOCK of another length than stated")
-        self._outer, self._stream = stream, Stream(np.frombuffer(data, dtype=np.uint8))
+        self._outer, self._stream = stream, Stream(np.frombuffer(data, dtype=np.uint8), 0, stream.spend)
 
     def _begin_cell(self, key: str) -> None:
         reader = self._reader
@@ -415,7 +415,7 @@ class _Pass:
         modal.layer, modal.datatype, x, y, modal.width, modal.height, repetition, _ = state.tolist()
         modal.geometry = (x, y)
         if repetition >= 0:
-            modal.unread = (stream.data, repetition)
+            modal.unread = Stream(stream.data, repetition, stream.spend)
         cell.shape_count += count
         if not self._indexing:
             self._rectangles.append(out[:count])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from metafab.mask.oasis.elements import ByteArray, Copies, DamagedError, Stream, checked_place
+from metafab.mask.oasis.elements import Copies, DamagedError, Stream, checked_place
 from metafab.mask.oasis.records import POLYGON, RECTANGLE
 from metafab.mask.shapes.hierarchy import IntArray
 
@@ -36,8 +36,7 @@ class Modal:
     radius: int = 0
     trapezoid: int = 0  #: Type of compact trapezoids.
     repetition: Copies | None = None  #: Places of the last repetition.
-    #: Data, shape (n,), and position of a later repetition that a compiled run has skipped.
-    unread: tuple[ByteArray, int] | None = None
+    unread: Stream | None = None  #: Stands at a later repetition, which a compiled run has skipped.
 
     def read_position(self, stream: Stream, last: tuple[int, int], has_x: bool, has_y: bool) -> tuple[int, int]:
         """Read x and y, as far as the record has them; the others are those of ``last``."""
@@ -53,7 +52,7 @@ class Modal:
         if not has_repetition:
             return Copies(1)
         if self.unread is not None:
-            self.repetition, self.unread = Stream(*self.unread).repetition(None), None
+            self.repetition, self.unread = self.unread.repetition(None), None
         self.repetition = stream.repetition(self.repetition)
         return self.repetition
 

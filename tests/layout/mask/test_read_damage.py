@@ -17,6 +17,7 @@ from metafab.mask.gdsii.records import real, record, text
 from metafab.mask.oasis import elements
 from metafab.mask.oasis.writer import CBLOCK, CELL, END, MAGIC, PLACEMENT, START
 from metafab.spec import Design
+from tests.layout.bombs import LISTS, list_in_a_block
 
 FORMATS = ("gds", "oas")
 
@@ -185,6 +186,15 @@ def test_an_oasis_block_that_would_fill_the_memory_is_refused(tiny_design: Desig
         path.write_bytes(head + cell + content + bytes([END]) + bytes(255))
         with pytest.raises(InputError, match=r"CBLOCK of|too long"):
             mask.read(path, tiny_design)
+
+
+@pytest.mark.parametrize("kind", LISTS)
+def test_lists_in_a_block_are_bounded_before_they_are_expanded(kind: str, tiny_design: Design, tmp_path: Path) -> None:
+    """60 kB that would take 1 to 3 GB: a corner or a place of a list takes a byte of the block."""
+    path = tmp_path / "list.oas"
+    path.write_bytes(list_in_a_block(kind, 60_000_000, layer=2))
+    with pytest.raises(InputError, match=r"blocks and lists of at most \d+ MB.*limits\.memory_mb"):
+        mask.read_shapes(path, tiny_design)
 
 
 def test_arrays_mirrors_turns_and_other_layers(tiny_design: Design, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from metafab.layout import Assignment
 from metafab.spec import Chip, Copy, Design
 from metafab.spec.design import Limits
 from metafab.spec.mask import Include
+from tests.layout.bombs import LISTS, list_in_a_block, records_in_a_block
 from tests.layout.conftest import sizes_at_sites
 
 FORMATS = ("gds", "oas")
@@ -95,6 +96,10 @@ def _nested(kind: str) -> gdstk.Library:
         below.add(gdstk.rectangle((0, 0), (1, 1), layer=20), gdstk.Label("LOT 7", (0, 0)))
         below.labels[0].repetition = gdstk.Repetition(columns=2000, rows=2000, spacing=(2.0, 2.0))
         return library
+    if kind == "corners":
+        below.add(gdstk.ellipse((0, 0), 5, tolerance=1e-6, layer=20))
+        below.polygons[0].repetition = gdstk.Repetition(columns=300, rows=300, spacing=(20.0, 20.0))
+        return library
     if kind != "nothing":
         below.add(gdstk.rectangle((0, 0), (1, 1), layer=20))
     side, levels = (1, 30_000) if kind == "deep" else (100, 4)
@@ -112,6 +117,7 @@ def _nested(kind: str) -> gdstk.Library:
         ("squares", r"at most 1e\+06 shapes.*1e\+16.*limits\.shapes"),
         ("nothing", r"at most 1e\+06 shapes.*1e\+16"),
         ("texts", r"at most 1e\+06 shapes and texts.*4e\+06"),
+        ("corners", r"at most 1e\+06 shapes.*7\.02e\+06"),
         ("circle", "at most 100 deep.*contains itself"),
         ("deep", r"at most 100 deep.*limits\.depth"),
     ],
@@ -125,6 +131,23 @@ def test_cells_that_expand_to_too_much_are_refused(
     top = library.top_level()[0].name
     with pytest.raises(InputError, match=message):
         mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, Include(path, top, at_um=(100.0, 0.0))))
+
+
+@pytest.mark.parametrize("kind", [*LISTS, "records"])
+def test_compressed_blocks_are_counted_before_gdstk_reads_them(
+    kind: str, tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    """Files of 20 to 60 kB: gdstk holds 16 bytes a place or corner, and some 250 bytes a record."""
+    path = tmp_path / "bomb.oas"
+    content = records_in_a_block(6_000_000, 20) if kind == "records" else list_in_a_block(kind, 20_000_000, 20)
+    path.write_bytes(content)
+    design = with_shop(tiny_design, Include(path, at_um=(100.0, 0.0)))
+    limits = Limits(seconds=0.2) if kind == "records" else Limits()
+    expected = "records that take about 0.2 s" if kind == "records" else "blocks and lists of at most 256 MB"
+    with pytest.raises(InputError, match=expected):
+        mask.write(tiny.pillars, tmp_path, replace(design, limits=limits))
+    with pytest.raises(InputError, match=r"at most 8 MB.*limits\.memory_mb"):
+        mask.write(tiny.pillars, tmp_path, replace(design, limits=Limits(memory_mb=8.0)))
 
 
 def test_stated_limits_hold_for_included_cells(
