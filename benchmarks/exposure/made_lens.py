@@ -57,6 +57,14 @@ RANGES = {
     "azimuth_deg": (0.0, 45.0),  # rotation of the lens against the crystal; not stated
     "thickness_um": (400.0, 560.0),  # of usual 100 and 150 mm wafers; not stated
 }
+#: Uncertainties of what is known, each with its source; uniform. Proximity moves both sides without a correction.
+KNOWN = {
+    "silicon_n_shift": (-0.025, 0.0),  # eight published indices at 800 nm: 3.669 to 3.696, the library's is 3.6941
+    "height_nm": (585.0, 615.0),  # 2.5 % of the film's thickness: an assumption
+    "proximity_nm": (-2.0, 2.0),  # largest difference of printed and drawn size without correction
+}
+#: Relative error of propagation and solver, standard deviation: their target errors.
+_NUMERICAL_ERROR = 5e-3
 #: Reading error of a power meter, relative, standard deviation: an assumption.
 _POWER_ERROR = 0.02
 _DRAWS, _SEED = 400_000, 1
@@ -269,6 +277,8 @@ class MadeLens:
     measured: tuple[float, float, float]  #: Efficiencies x and y, and extinction ratio, of the paper.
     chain: dict[str, float]  #: Factors that are known, by name, from the written mask to the pinhole.
     predicted: float  #: Product of these factors.
+    #: Efficiency that known factors and their uncertainties give, by what is included.
+    predictions: dict[str, Interval]
     missing: float  #: Measured mean efficiency over ``predicted``.
     #: 5, 50 and 95 % of the compatible draws with pillars too small and too large, by wall angle; None where none is.
     bias_nm: dict[str, dict[str, Interval | None]]
@@ -300,6 +310,10 @@ def explain(folder: Path, aperture_um: float) -> tuple[MadeLens, Explanation, di
     with Work().processes() as executor:
         sizes = [Sizes.solved(design.unit_cell, wall, folder, executor) for wall in WALLS_DEG.tolist()]
         finer = Sizes.solved(design.unit_cell, float(WALLS_DEG[0]), folder, executor, 2 * SLICES)
+        changes = [{"pillar_n_shift": shift} for shift in (-0.025, -0.0125)] + [
+            {"height_nm": h} for h in (585.0, 615.0)
+        ]
+        changed = [Sizes.solved(design.unit_cell, 90.0, folder, executor, changed=change) for change in changes]
     if not (folder / "cell.h5").is_file():
         save(library.build(design.unit_cell), folder / "cell.h5")
     table = load(folder / "cell.h5")
@@ -315,6 +329,7 @@ def explain(folder: Path, aperture_um: float) -> tuple[MadeLens, Explanation, di
         "unlike neighbours (full-wave rows)": float(np.mean(RANGES["neighbours"])),
     }
     predicted = math.prod(chain.values())
+    relative = [PrintedLens.of(sums, size).wanted / plain.wanted for size in changed]
     mean = 0.5 * (measured_x + measured_y)
     drawn = known.draws(mean, extinction)
     weight = drawn["weight"]
@@ -338,6 +353,7 @@ def explain(folder: Path, aperture_um: float) -> tuple[MadeLens, Explanation, di
         (measured_x, measured_y, extinction),
         chain,
         predicted,
+        predictions(known, predicted, relative, extinction),
         mean / predicted,
         biases,
         Interval.of(drawn["wall_deg"], weight),
@@ -350,6 +366,33 @@ def explain(folder: Path, aperture_um: float) -> tuple[MadeLens, Explanation, di
         abs((measured_x / measured_y - 1.0) / per_nm),
     )
     return made, known, drawn
+
+
+def predictions(
+    known: Explanation, predicted: float, relative: Sequence[float], extinction: float
+) -> dict[str, Interval]:
+    """Propagate the uncertainties of the known factors by draws.
+
+    ``relative`` are the wanted shares at silicon's index less 0.025 and 0.0125, and at heights of 585 and 615 nm, over
+    that of the design.
+    """
+    rng = np.random.default_rng(_SEED)
+    drawn = {name: rng.uniform(*span, _DRAWS) for name, span in (RANGES | KNOWN).items()}
+    index, height = (
+        PchipInterpolator(places, values)
+        for places, values in (
+            ([-0.025, -0.0125, 0.0], [*relative[:2], 1.0]),
+            ([585.0, 600.0, 615.0], [relative[2], 1.0, relative[3]]),
+        )
+    )
+    corrected = predicted * drawn["neighbours"] / float(np.mean(RANGES["neighbours"]))
+    corrected *= index(drawn["silicon_n_shift"]) * height(drawn["height_nm"])
+    corrected *= 1.0 + rng.normal(0.0, _NUMERICAL_ERROR, _DRAWS)
+    shares = known.at(known.wanted, 0.0, np.append(drawn["proximity_nm"], 0.0), 90.0)
+    plain = corrected * shares[:-1] / shares[-1]
+    causes = plain * drawn["beam on the aperture"] / (1.0 + rng.uniform(0.0, 1.0 / extinction, _DRAWS))
+    found = {"with correction": corrected, "without correction": plain, "with all known causes": causes}
+    return {name: Interval.of(values, np.ones(_DRAWS)) for name, values in found.items()}
 
 
 def _largest_rotation_deg(thickness_um: float, extinction: float) -> float:
@@ -406,7 +449,8 @@ def draw(made: MadeLens, known: Explanation, drawn: dict[str, FloatArray], path:
     for value in made.measured[:2]:
         efficiency.axhline(value, color="black", linewidth=0.8)
     efficiency.set(xlabel="bias of both sides / nm", ylabel="efficiency through the pinhole", title="All known factors")
-    efficiency.legend()
+    efficiency.set_ylim(0.15, 0.93)
+    efficiency.legend(ncols=2, loc="upper center", fontsize="small")
     excluded = known.misfit(mean, made.measured[2])
     joint.contourf(known.bias_nm, known.wall_deg, excluded, levels=[2.0, 1e9], colors=["0.85"])
     bias_nm, wall_deg, cells, levels = credible(drawn)
@@ -468,6 +512,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
     with TemporaryDirectory() as folder:
         made = explain(Path(folder), design.device.aperture_um)[0]
     factors = [{"name": f"factor: {name}", "factor": factor} for name, factor in made.chain.items()]
+    factors += [{"name": f"predicted {name}", **asdict(value)} for name, value in made.predictions.items()]
     alone = [{"name": f"known factors and {name}", "efficiency": value} for name, value in made.alone.items()]
     sets = [{**asdict(case), "name": f"explains the made lens: {case.name}"} for case in made.candidates]
     return [check, *factors, *alone, *sets]

@@ -17,7 +17,7 @@ from scipy.interpolate import RectBivariateSpline
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.storage.files import whole_file
 from metafab.layout.pillars import PillarMap
-from metafab.library.axes import corner_cell
+from metafab.library.axes import Corner, corner_cell
 from metafab.library.use.amplitudes import half_space_indices
 from metafab.library.use.any_size import solved_amplitudes
 from metafab.phase.terms.profile import PhaseProfile
@@ -69,16 +69,25 @@ class Sizes:
 
     @classmethod
     def solved(
-        cls, cell: UnitCell, wall_deg: float, folder: Path, executor: Executor | None = None, slices: int = SLICES
+        cls,
+        cell: UnitCell,
+        wall_deg: float,
+        folder: Path,
+        executor: Executor | None = None,
+        slices: int = SLICES,
+        changed: Corner | None = None,
     ) -> Sizes:
         """Solve a cell with walls of one angle for every fourth nanometre of both sides; kept in ``folder``.
 
         The cell is square: of a size and its mirror image, one is solved. Between the sizes, splines of third order.
+        ``changed`` are further values of the cell, such as its height.
         """
-        path = folder / f"walls_{wall_deg:g}_{slices}.npy"
+        corner = dict(changed or {})
+        path = folder / "_".join([f"walls_{wall_deg:g}_{slices}", *(f"{n}_{v:g}" for n, v in corner.items())])
+        path = path.with_name(path.name + ".npy")
         if not path.is_file():
             low, high = np.triu_indices(_SOLVED_NM.size)
-            corner = {"sidewall_angle_deg": wall_deg} if wall_deg < 90.0 else {}
+            corner |= {"sidewall_angle_deg": wall_deg} if wall_deg < 90.0 else {}
             tasks = [
                 (corner_cell(cell, width, length, corner), slices)
                 for width, length in zip(_SOLVED_NM[low].tolist(), _SOLVED_NM[high].tolist(), strict=True)

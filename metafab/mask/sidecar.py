@@ -54,7 +54,7 @@ class IncludeFigures:
     file: str  #: Name of its file.
     cell: str  #: Name of the cell.
     polygons: dict[str, int]  #: Number of polygons on each "layer/datatype".
-    texts_left_out: int  #: Number of texts, which are not written.
+    texts: int  #: Number of texts.
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ class MaskSums:
             field_density=np.round(self._twice_area_in_dbu / 2 * dbu2_um2 / field_um2, 6),
             copies=tuple(each_copy),
             exposure=exposure,
-            include=tuple(IncludeFigures(cell.file, cell.cell, cell.counts, cell.texts) for cell in included),
+            include=tuple(IncludeFigures(cell.file, cell.cell, cell.counts, len(cell.texts)) for cell in included),
             fields=fields,
         )
 

@@ -116,6 +116,7 @@ def write_drawings(
     around, included = shapes_beside(design)
     in_top_cell = [(layer.layer, layer.rectangles) for layer in around]
     polygons = [(one.layer, one.datatype, one.corners) for cell in included for one in cell.polygons]
+    texts = [(one.layer, one.kind, one.at_dbu, one.words) for cell in included for one in cell.texts]
     stamps = Stamps(drawn, design, dose_class)
     sums = MaskSums(drawn, design)
     with ExitStack() as stack:
@@ -135,7 +136,7 @@ def write_drawings(
             progress("mask", sums.sites, sites)
         in_top_cell += stamps.without_pillars(sums.filled)
         for writer in writers:
-            writer.close(in_top_cell, polygons)
+            writer.close(in_top_cell, polygons, texts)
         progress("mask", sites, sites)
     return sums.figures(stamps, included)
 

@@ -91,12 +91,15 @@ class MaskWriter(ABC):
             self._end_cell()
 
     def close(
-        self, surroundings: Iterable[tuple[int, IntArray]] = (), polygons: Iterable[tuple[int, int, IntArray]] = ()
+        self,
+        surroundings: Iterable[tuple[int, IntArray]] = (),
+        polygons: Iterable[tuple[int, int, IntArray]] = (),
+        texts: Iterable[tuple[int, int, tuple[int, int], str]] = (),
     ) -> None:
         """Write the top cell and the end of the file; InputError if the format cannot hold a rectangle.
 
         ``surroundings`` are (layer, rectangles of shape (n, 4)) to draw in the top cell, ``polygons`` (layer, datatype,
-        corners of shape (n, 2)).
+        corners of shape (n, 2)), ``texts`` (layer, text type, place (x, y) in database units, ASCII words).
         """
         for _, cell in sorted(self._cells.items()):
             self._write(cell)
@@ -106,6 +109,8 @@ class MaskWriter(ABC):
             self._draw(layer, rectangles)
         for layer, datatype, corners in polygons:
             self._draw_polygon(layer, datatype, corners)
+        for layer, kind, at_dbu, words in texts:
+            self._add_text(layer, kind, at_dbu, words)
         self._end_cell()
         self._end_file()
 
@@ -146,6 +151,10 @@ class MaskWriter(ABC):
     @abstractmethod
     def _draw_polygon(self, layer: int, datatype: int, corners: IntArray) -> None:
         """Write a polygon, shape (n, 2), not closed."""
+
+    @abstractmethod
+    def _add_text(self, layer: int, kind: int, at_dbu: tuple[int, int], words: str) -> None:
+        """Write a text at a place (x, y)."""
 
     @abstractmethod
     def _end_cell(self) -> None: ...

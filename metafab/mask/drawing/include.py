@@ -1,7 +1,8 @@
 """Cells of other files on the chip: marks, logos and test structures from GDSII or OASIS.
 
 A cell is read with everything below it and drawn in the top cell as polygons: references and repetitions are resolved,
-paths become their outlines. Layers are renamed by a table. Texts draw nothing; they are counted, not written.
+paths become their outlines. Layers are renamed by a table. Texts keep their words, place and layer; their anchor,
+rotation and magnification, which OASIS cannot hold, are left out.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from metafab.spec.mask import Include
 
 #: Corners that every GDSII reader takes, and largest distance of a corner from the grid (database units).
 _MOST_CORNERS, _ON_GRID = 8190, 1e-3
+#: Longest text that every GDSII reader takes.
+_LONGEST_TEXT = 512
 #: Shapes and texts that a cell may expand to unless the limit ``shapes`` is stated, and corners of a shape: 1 kB.
 _MOST_SHAPES, _CORNERS_OF_A_SHAPE = 1_000_000, 64
 #: Default of the limit ``memory_mb``: gdstk inflates all blocks of a file, and holds some 250 bytes a shape besides.
@@ -46,19 +49,34 @@ class IncludedPolygon:
 
 
 @dataclass(frozen=True)
+class IncludedText:
+    """One text in the top cell, which draws nothing."""
+
+    layer: int  #: Layer in the written file.
+    kind: int  #: Text type in the written file.
+    at_dbu: tuple[int, int]  #: Place (x, y), database units.
+    words: str  #: Printable ASCII.
+
+
+@dataclass(frozen=True)
 class IncludedCell:
     """Everything drawn by one entry of ``mask.include``."""
 
     file: str  #: Name of the file, without its folder.
     cell: str  #: Name of the cell.
     polygons: tuple[IncludedPolygon, ...]  #: Its polygons.
-    texts: int  #: Number of texts, which are not written.
+    texts: tuple[IncludedText, ...]  #: Its texts.
 
     @property
     def boxes(self) -> IntArray:
         """Bounding box (left, bottom, right, top) of each polygon, shape (n, 4)."""
         corners = [np.concatenate([p.corners.min(axis=0), p.corners.max(axis=0)]) for p in self.polygons]
         return np.array(corners, dtype=np.int64).reshape(-1, 4)
+
+    @property
+    def outlines(self) -> list[IntArray]:
+        """Corners of each polygon, shape (n, 2)."""
+        return [polygon.corners for polygon in self.polygons]
 
     @property
     def counts(self) -> dict[str, int]:
@@ -88,12 +106,12 @@ def included_cells(design: Design, around: tuple[Surroundings, ...]) -> tuple[In
     for number, cell in enumerate(cells, start=1):
         key = f"mask.include[{number}]"
         _require_layers(design, key, cell)
-        boxes = cell.boxes
-        require_clear_of_lenses(design, key, boxes, f"a polygon of {cell.cell}")
+        boxes, outlines = cell.boxes, cell.outlines
+        require_clear_of_lenses(design, key, boxes, f"a polygon of {cell.cell}", outlines)
         for layer in around:
-            require_apart(design, key, boxes, boxes_of(layer.rectangles), layer.name)
+            require_apart(design, key, boxes, boxes_of(layer.rectangles), layer.name, outlines)
         for other, before in enumerate(cells[: number - 1], start=1):
-            require_apart(design, key, boxes, before.boxes, f"mask.include[{other}]")
+            require_apart(design, key, boxes, before.boxes, f"mask.include[{other}]", outlines, before.outlines)
         if not design.mask.include[number - 1].beyond_street:
             remedy = "move it, widen `mask.chip.margin_um`, or state `beyond_street = true` for shapes of the wafer"
             require_within_frame(design, key, boxes, remedy)
@@ -115,7 +133,7 @@ def _read(design: Design, number: int, item: Include) -> IncludedCell:
     unit_nm = design.mask.database_unit_nm
     shift = np.array([whole_dbu(at_um * 1e3, unit_nm, f"{key}.at_um") for at_um in item.at_um])
     per_unit = library.unit * 1e9 / unit_nm
-    polygons, present = [], set()
+    polygons, texts, present = [], [], set()
     with limited(**design.stated_limits):
         _require_bounded(found[name], design.name, f"{key}.file")
     for polygon in found[name].get_polygons(apply_repetitions=True, include_paths=True):
@@ -129,16 +147,23 @@ def _read(design: Design, number: int, item: Include) -> IncludedCell:
         if len(corners) > _MOST_CORNERS:
             expected = f"polygons of at most {_MOST_CORNERS} corners"
             raise InputError.single(design.name, f"{key}.file", expected, f"{len(corners)}", "fracture the cell")
-        source = f"{polygon.layer}/{polygon.datatype}"
-        present.add(source)
+        present.add(source := f"{polygon.layer}/{polygon.datatype}")
         layer, datatype = (int(part) for part in item.layers.get(source, source).split("/"))
         polygons.append(IncludedPolygon(layer, datatype, corners + shift))
+    for label in found[name].get_labels(apply_repetitions=True):
+        if not (label.text.isascii() and label.text.isprintable() and 0 < len(label.text) <= _LONGEST_TEXT):
+            expected = f"texts of 1 to {_LONGEST_TEXT} printable ASCII characters"
+            raise InputError.single(design.name, f"{key}.file", expected, repr(label.text[:40]), "change or remove it")
+        present.add(source := f"{label.layer}/{label.texttype}")
+        layer, kind = (int(part) for part in item.layers.get(source, source).split("/"))
+        x, y = (np.rint(np.array(label.origin) * per_unit).astype(np.int64) + shift).tolist()
+        texts.append(IncludedText(layer, kind, (x, y), label.text))
     if not polygons:
         raise InputError.single(design.name, f"{key}.cell", "a cell with shapes", f"{name}, which holds none")
     if absent := sorted(set(item.layers) - present):
         expected = f"layers of cell {name}: {', '.join(sorted(present))}"
         raise InputError.single(design.name, f"{key}.layers", expected, ", ".join(absent))
-    return IncludedCell(item.file.name, name, tuple(polygons), len(found[name].get_labels()))
+    return IncludedCell(item.file.name, name, tuple(polygons), tuple(texts))
 
 
 def _require_bounded(cell: gdstk.Cell, source: str, field: str) -> None:
@@ -202,7 +227,8 @@ def _require_layers(design: Design, key: str, cell: IncludedCell) -> None:
     own = {mask.layer, *((mask.field_layer,) if mask.tone != "negative" else ())}
     own |= set(mask.chip.layers) if mask.chip is not None else set()
     own |= set(mask.kit.layers) if mask.kit is not None else set()
-    taken = sorted(f"{p.layer}/{p.datatype}" for p in cell.polygons if p.layer in own)
+    drawn = {(polygon.layer, polygon.datatype) for polygon in cell.polygons}
+    taken = sorted(f"{layer}/{kind}" for layer, kind in drawn | {(t.layer, t.kind) for t in cell.texts} if layer in own)
     if taken:
         expected = f"layers other than {', '.join(map(str, sorted(own)))}, on which the design draws"
         raise InputError.single(design.name, f"{key}.layers", expected, taken[0], "rename it in `layers`")

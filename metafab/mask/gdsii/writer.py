@@ -146,6 +146,13 @@ class GdsiiWriter(MaskWriter):
             raise _out_of_range(reach, f"{layer}/{datatype}")
         self._write(boundary(corners, layer, datatype).byteswap().tobytes())
 
+    def _add_text(self, layer: int, kind: int, at_dbu: tuple[int, int], words: str) -> None:
+        if max(map(abs, at_dbu)) >= 2**31 or max(layer, kind) >= 2**15:
+            raise _out_of_range(max(map(abs, at_dbu)), f"{layer}/{kind}")
+        of = record(records.LAYER, struct.pack(">H", layer)) + record(records.TEXTTYPE, struct.pack(">H", kind))
+        place = record(records.XY, struct.pack(">2i", *at_dbu)) + record(records.STRING, text(words))
+        self._write(record(records.TEXT) + of + place + record(records.ENDEL))
+
     def _end_cell(self) -> None:
         self._write(record(records.ENDSTR))
 

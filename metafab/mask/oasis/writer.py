@@ -32,7 +32,7 @@ from metafab.mask.oasis.records import (
 from metafab.mask.shapes.hierarchy import IntArray
 
 MAGIC = b"%SEMI-OASIS\r\n"
-START, END, CELL, XYRELATIVE, PLACEMENT, CBLOCK = 1, 2, 14, 16, 17, 34
+START, END, CELL, XYRELATIVE, PLACEMENT, TEXT, CBLOCK = 1, 2, 14, 16, 17, 19, 34
 #: Length of the END record.
 END_BYTES = 256
 
@@ -73,6 +73,11 @@ class OasisWriter(MaskWriter):
         head = bytes([POLYGON, POINTS | X | Y | DATATYPE_LAYER]) + unsigned(layer) + unsigned(datatype)
         points = point_list((corners - corners[0]).tobytes())
         self._write(head + points + signed(int(corners[0, 0])) + signed(int(corners[0, 1])))
+
+    def _add_text(self, layer: int, kind: int, at_dbu: tuple[int, int], words: str) -> None:
+        info = 0b0101_1011  # 0CNXYRTL: the words, x and y, text type and layer given
+        place = signed(at_dbu[0]) + signed(at_dbu[1])
+        self._write(bytes([TEXT, info]) + string(words) + unsigned(layer) + unsigned(kind) + place)
 
     def _end_cell(self) -> None:
         """A cell ends where the next cell or the END record begins."""

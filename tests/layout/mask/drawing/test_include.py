@@ -1,4 +1,4 @@
-"""Cells of other files: each polygon reaches both formats, pillars are read back as before, and nothing touches."""
+"""Cells of other files: polygons and texts reach both formats, pillars are read back as before, and nothing touches."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_every_polygon_reaches_both_files_and_pillars_are_read_as_before(
 ) -> None:
     """Exclusive or by gdstk, which reads both files; the file's other layers are counted, not judged."""
     half = 0.5 * tiny_design.device.aperture_um
-    item = Include(shop, "SHOP", at_um=(half + 10.0, -3.5), layers={"20/3": "40/7"})
+    item = Include(shop, "SHOP", at_um=(half + 10.0, -3.5), layers={"20/3": "40/7", "23/0": "41/2"})
     design = with_shop(tiny_design, item)
     mask.write(tiny.pillars, tmp_path, design)
     expected = gdstk.read_gds(shop).cells
@@ -62,13 +62,16 @@ def test_every_polygon_reaches_both_files_and_pillars_are_read_as_before(
             wanted = [p.copy().translate(half + 10.0, -3.5) for p in drawn if (p.layer, p.datatype) == source]
             assert len(found) == len(wanted) > 0
             assert sum(p.area() for p in gdstk.boolean(found, wanted, "xor", precision=1e-5)) < 1e-6
+        (label,) = top.get_labels()
+        assert (label.text, label.layer, label.texttype) == ("LOT 7", 41, 2)
+        assert label.origin == pytest.approx((half + 10.0, -3.5))
         back = mask.read(path, design)
         assert np.array_equal(sizes_at_sites(back.pillars), sizes_at_sites(tiny.pillars))
-        assert back.other_layers == {"40/7": 2, "21/0": 1, "22/0": 1}
+        assert back.other_layers == {"40/7": 2, "21/0": 1, "22/0": 1, "41/2 text": 1}
         assert sum(drc.check(path, design).violations.values()) == 0
     entry = json.loads((tmp_path / "layout.json").read_text(encoding="utf-8"))["include"]
     polygons = {"21/0": 1, "22/0": 1, "40/7": 2}
-    assert entry == [{"file": "shop.gds", "cell": "SHOP", "polygons": polygons, "texts_left_out": 1}]
+    assert entry == [{"file": "shop.gds", "cell": "SHOP", "polygons": polygons, "texts": 1}]
 
 
 def test_without_cells_no_byte_changes(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
@@ -167,6 +170,7 @@ def test_stated_limits_hold_for_included_cells(
         ({"at_um": (0.0, 0.0)}, "in lens 1"),
         ({"cell": "NONE"}, "one of MARK, SHOP"),
         ({"layers": {"20/3": "1/0"}}, "on which the design draws"),
+        ({"layers": {"23/0": "1/0"}}, "on which the design draws"),
         ({"layers": {"99/0": "40/0"}}, "layers of cell SHOP"),
         ({"at_um": (100.0001, 0.0)}, "at_um"),
         ({"file": Path("missing.gds")}, "GDSII or OASIS"),
@@ -199,6 +203,50 @@ def test_marks_frames_and_other_cells_are_never_touched(
         mask.write(
             tiny.pillars, tmp_path, with_shop(tiny_design, Include(shop, "SHOP", (2.5 * half, 0.0)), copies=other_lens)
         )
+
+
+def _drawn(path: Path, *shapes: gdstk.Polygon | gdstk.FlexPath | gdstk.Label) -> Path:
+    gdstk.Library(unit=1e-6, precision=1e-9).add(gdstk.Cell("SHOP").add(*shapes)).write_gds(path)
+    return path
+
+
+def test_a_ring_may_lie_around_lens_and_cells(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
+    """A hollow square and an L around the lens hold it in their bounding boxes; touching ones are refused."""
+    half = 0.5 * tiny_design.device.aperture_um
+    out = half + 5.0
+    corner = [(-half, -out), (out, -out), (out, half)]
+
+    def ring(path: Path, side: float) -> Path:
+        outer, inner = (gdstk.rectangle((-s, -s), (s, s)) for s in (side + 1.0, side))
+        return _drawn(path, *gdstk.boolean(outer, inner, "not", layer=30))
+
+    around = Include(ring(tmp_path / "ring.gds", out))
+    within = Include(_drawn(tmp_path / "l.gds", gdstk.FlexPath(corner, 1.0, layer=31)), at_um=(-1.0, 1.0))
+    mask.write(tiny.pillars, tmp_path / "kept", with_shop(tiny_design, around, within))
+    found = mask.read(tmp_path / "kept" / "layout.oas", tiny_design)
+    assert found.other_layers == {"30/0": 1, "31/0": 1}
+    # Half a micrometre further out, the L's outer edge lies on the inner edge of the ring; 0.5 nm before it does not.
+    touching = with_shop(tiny_design, around, replace(within, at_um=(-0.5, 0.5)))
+    with pytest.raises(InputError, match=r"touches: mask.include\[1\]"):
+        mask.write(tiny.pillars, tmp_path / "no", touching)
+    mask.write(tiny.pillars, tmp_path / "yes", with_shop(tiny_design, around, replace(within, at_um=(-0.5005, 0.5005))))
+    near = Include(ring(tmp_path / "near.gds", half - 0.5))
+    with pytest.raises(InputError, match="in lens 1"):
+        mask.write(tiny.pillars, tmp_path / "no", with_shop(tiny_design, near))
+    solid = Include(_drawn(tmp_path / "solid.gds", gdstk.rectangle((-out, -out), (out, out), layer=30)))
+    with pytest.raises(InputError, match="in lens 1"):
+        mask.write(tiny.pillars, tmp_path / "no", with_shop(tiny_design, solid))
+
+
+@pytest.mark.parametrize("words", ["Los 7 \u00b5m", "A\tB", "x" * 513])
+def test_texts_that_gdsii_cannot_hold_are_refused(
+    words: str, tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    path = tmp_path / "text.oas"
+    cell = gdstk.Cell("SHOP").add(gdstk.rectangle((0, 0), (1, 1), layer=30), gdstk.Label(words, (0, 0), layer=31))
+    gdstk.Library(unit=1e-6, precision=1e-9).add(cell).write_oas(path)
+    with pytest.raises(InputError, match="printable ASCII"):
+        mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, Include(path, at_um=(100.0, 0.0))))
 
 
 def test_coordinates_off_the_grid_are_refused(

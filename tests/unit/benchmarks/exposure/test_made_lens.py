@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from benchmarks.exposure import made_lens_sizes
-from benchmarks.exposure.made_lens import BIAS_NM, RANGES, Explanation, Interval, PrintedLens, credible, ghost_over_own
+from benchmarks.exposure.made_lens import (
+    BIAS_NM,
+    RANGES,
+    Explanation,
+    Interval,
+    PrintedLens,
+    credible,
+    ghost_over_own,
+    predictions,
+)
 from benchmarks.exposure.made_lens_sizes import WALLS_DEG, Sizes, SizeSums
 from metafab.cell.rcwa import zero_order
 from metafab.layout.pillars import Lattice, PillarMap
@@ -96,3 +105,19 @@ def test_a_bias_is_excluded_where_no_other_factor_explains_the_efficiency() -> N
     centres = 0.5 * (bias_nm[1:] + bias_nm[:-1])
     inside = np.interp(centres[cells[:, -1] >= most], BIAS_NM, vertical)
     assert inside.max() < 2.0
+
+
+def test_predictions_carry_the_uncertainties_of_the_known_factors() -> None:
+    """A share that does not depend on bias, index and height: neighbours, propagation, beam and crystal are left."""
+    flat = np.full((WALLS_DEG.size, 2, BIAS_NM.size), 0.8)
+    known = Explanation(WALLS_DEG, np.array([0.0, 5.0]), BIAS_NM, flat, flat, flat, 1.0)
+    found = predictions(known, 0.7, [1.0] * 4, 35.6)
+    corrected, causes = found["with correction"], found["with all known causes"]
+    # Quantiles of a uniform factor of 0.945 to 0.975 times a normal one of 0.5 %: variances add up.
+    spread = 1.645 * math.hypot(0.015 / math.sqrt(3.0) / 0.96, 5e-3)
+    assert (corrected.high - corrected.low) / 1.4 == pytest.approx(spread, rel=0.08)
+    assert corrected.middle == pytest.approx(0.7, rel=2e-3)
+    assert found["without correction"].high == pytest.approx(corrected.high, rel=1e-9)
+    assert causes.middle == pytest.approx(0.7 * 0.9325 / (1.0 + 0.5 / 35.6), rel=3e-3)
+    less = predictions(known, 0.7, [0.9, 0.95, 1.0, 1.0], 35.6)["with correction"]
+    assert less.middle == pytest.approx(0.95 * 0.7, rel=3e-3)
