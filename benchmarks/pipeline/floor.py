@@ -29,7 +29,7 @@ from scipy import fft
 from metafab.cell import CellNumerics, pillar_cell, solve
 from metafab.core.parallel.measure import measured
 from metafab.core.parallel.work import Work
-from metafab.library.sweep.build import SOLVER_SHARE
+from metafab.library.sweep.build import solver_target
 from metafab.run import STEPS, run
 from metafab.spec import Design, UnitCell, load_design
 from metafab.steps import RunSummary
@@ -121,13 +121,13 @@ def _floors(design: Design, summary: RunSummary, folder: Path) -> dict[str, floa
 
 
 def solver_s(unit_cell: UnitCell) -> float:
-    """Mean processor time of the solver for one size of a sweep, at the sweep's share of its target error."""
+    """Mean processor time of the solver for one size of a sweep, to the error that a build asks for."""
     sweep = unit_cell.sweep
     sizes_nm = np.random.default_rng(1).uniform(0.0, 1.0, (_SAMPLED_SIZES, 2))
     spans = (sweep.width_nm, sweep.length_nm)
     cells = [pillar_cell(unit_cell, *(low + u * (high - low) for u, (low, high) in zip(pair, spans, strict=True)))
              for pair in sizes_nm.tolist()]  # fmt: skip
-    numerics = CellNumerics(SOLVER_SHARE * sweep.target_error, unit_cell.solver.name)
+    numerics = CellNumerics(solver_target(unit_cell), unit_cell.solver.name)
     solve(cells[0], numerics)
     return _seconds(lambda: [solve(cell, numerics) for cell in cells]) / len(cells)
 

@@ -16,6 +16,7 @@ from metafab.cell.meep import Pool, finding, solver
 from metafab.cell.meep.pool import FOLDER_VARIABLE
 from metafab.core.errors import InputError, SolverError
 from metafab.core.parallel.executor import open_executor
+from metafab.library.sweep.build import solver_target, with_target
 from metafab.spec import UnitCell
 from metafab.spec.cell import Axes, Material
 from tests.dask_workers import two_workers
@@ -133,6 +134,26 @@ def test_what_a_build_takes_is_foreseen(unit_cell: UnitCell) -> None:
     assert few is not None
     assert few.cells == (6, 6)
     assert library.estimate_cost(replace(unit_cell, solver=replace(unit_cell.solver, name="meep"))) is None
+
+
+def test_the_solver_is_held_to_more_than_a_loose_target_only_where_models_are_fitted(unit_cell: UnitCell) -> None:
+    """A fine grid of rectangles by RCWA; no model serves circles, few sizes, sizes that are all solved, or Meep."""
+    assert solver_target(unit_cell) == 1e-3
+    loose = with_target(unit_cell, 0.1)
+    assert solver_target(loose) == 2e-3
+    few = replace(loose.sweep, size_grid_nm=50.0)
+    circles = replace(loose, cell=replace(loose.cell, shape="circle"))
+    for cell in (replace(loose, sweep=few), circles, replace(loose, solver=replace(loose.solver, name="meep"))):
+        assert solver_target(cell) == 0.05
+    assert solver_target(loose, first_round=76 * 76) == 0.05
+
+
+def test_a_loose_library_of_the_real_solver_takes_fewer_sizes_than_a_tight_one(unit_cell: UnitCell) -> None:
+    """Noise of the solver would make models disagree: 368 sizes at a solver's target of 5e-3."""
+    built = library.build(unit_cell, target_error=1e-2)
+    assert built.statistics.points_solved < 200
+    assert built.error.max() < 1e-2
+    assert library.check(built, samples=8, seed=4).beyond_stated == 0
 
 
 def test_axes_count_in_what_is_foreseen(unit_cell: UnitCell) -> None:
