@@ -33,8 +33,9 @@ _GAP, _FEATURE, _LARGEST_RULE_NM = 0.28, 0.22, 100.0
 #: Hole and thinnest wall of rings over the period.
 _HOLE, _WALL = 0.2, 0.125
 _ROUND_NM, _FEWEST_STEPS = 10.0, 40
-#: Target error: the corners of crosses converge slowly.
-_ERROR = {"rectangle": 2e-3, "cross": 5e-3, "ellipse": 2e-3, "circle": 2e-3, "ring": 2e-3}
+#: Target error: the corners of crosses converge slowly, 0.9 s of processor time for 1.7e-2 and 4.5 s for 9.6e-3 (TiO2,
+#: 633 nm, arms of 250 and 120 nm).
+_ERROR = {"rectangle": 2e-3, "cross": 2e-2, "ellipse": 2e-3, "circle": 2e-3, "ring": 2e-3}
 
 
 def starting_cell(

@@ -7,13 +7,14 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
 from metafab.core.figures import LightMapping, MappingFigures
 from metafab.core.parallel.executor import default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
@@ -36,6 +37,8 @@ KEPT_SITES = 1 << 27
 
 # Rows and columns that are sampled to choose the constant phases.
 _SAMPLED_LINES = 1000
+# Unit phasors, or amplitudes of x and y polarisation, that differ by less are the same.
+_SAME = 1e-6
 
 
 @dataclass(frozen=True)
@@ -97,9 +100,9 @@ def assign(
         pillars = PillarMap.from_array(lattice, table.size_dbu, whole, mapping.tile_sites)
     else:
         pillars = PillarMap(lattice, table.size_dbu, tiles, mapping.tile_sites)
-    each = None if total.each is None else total.each.figures(library, table)
+    each = None if total.each is None else total.each.figures(library, table, mapping.offset_rad)
     found = () if mapping.lights is None else _of_lights(mapping.lights, lights, total, design)
-    return Assignment(pillars, total.figures(library, table), mapping.offset_rad, each, found)
+    return Assignment(pillars, total.figures(library, table, mapping.offset_rad), mapping.offset_rad, each, found)
 
 
 def _of_lights(
@@ -111,7 +114,7 @@ def _of_lights(
             spec.wavelength_nm,
             spec.weight,
             tuple(offset),
-            sums.figures(light.library, table),
+            sums.figures(light.library, table, offset),
             spec.angle_x_deg,
             spec.angle_y_deg,
         )
@@ -142,9 +145,10 @@ def mapping_of(
     aperture = Aperture.of(design)
     joint = joint_sizes(library, design, each, aperture.lattice)
     choice = neighbour_choice(library, design, each)
-    of_lights = _light_choice(lights, each, aperture) if lights else None
+    of_lights = _light_choice(lights, each, aperture, design.rules.retardance) if lights else None
     if of_lights is None:
-        offsets = constant_phases(profile, each, aperture)
+        keeps = keeps_retardance(_sampled_targets(profile, aperture), each, design.rules.retardance)
+        offsets = constant_phases(profile, each, aperture, keep_retardance=keeps)
     else:
         own = [light.key for light in design.light].index((design.unit_cell.illumination.wavelength_nm, 0.0, 0.0))
         offset_x, offset_y = of_lights.offsets_rad[own].tolist()
@@ -154,12 +158,33 @@ def mapping_of(
     return TileMapping(profile, table, aperture, offsets, tile_sites(design), joint, choice, of_lights, outline)
 
 
-def _light_choice(lights: Sequence[LightTarget], table: SizeTable, aperture: Aperture) -> LightChoice:
+def keeps_retardance(target_rad: FloatArray, table: SizeTable, rule: Literal["auto", "kept", "free"]) -> bool:
+    """Whether one constant phase serves both polarisations, so that their relative phase is that of the targets.
+
+    ``target_rad``, shape (2, n), holds target phases of a sample of sites. With the rule "auto", a constant difference
+    of x and y polarisation other than 0 is kept: without it, such a target has no meaning. InputError if the sizes
+    respond equally to both.
+    """
+    relative = np.exp(1j * (target_rad[1] - target_rad[0]))
+    is_plate = bool(np.all(np.abs(relative - relative[:1]) < _SAME) and np.any(np.abs(relative - 1.0) > _SAME))
+    keeps = rule == "kept" or (rule == "auto" and is_plate)
+    if keeps and is_plate and np.abs(table.t[:, 1] - table.t[:, 0]).max() <= _SAME:
+        expected = "one phase for x and y polarisation, to which all sizes that may be used respond equally"
+        got = f"a retardance of {np.angle(relative[0]):.3g} rad"
+        remedy = "use rectangles or ellipses, not squares or circles"
+        raise InputError.single("layout", "phase", expected, got, remedy)
+    return keeps
+
+
+def _light_choice(
+    lights: Sequence[LightTarget], table: SizeTable, aperture: Aperture, retardance: Literal["auto", "kept", "free"]
+) -> LightChoice:
     """Choice among the sizes of ``table`` for several lights, with constant phases that suit a sample of the sites."""
     sizes = SizesOfLights.of(table, [light.library for light in lights], [light.weight for light in lights])
     profiles = tuple(light.profile for light in lights)
     targets = np.concatenate([_sampled_targets(profile, aperture) for profile in profiles]).reshape(len(lights), 2, -1)
-    return LightChoice(profiles, sizes, sizes.constant_phases(targets))
+    keeps = [keeps_retardance(target, own, retardance) for target, own in zip(targets, sizes.tables, strict=True)]
+    return LightChoice(profiles, sizes, sizes.constant_phases(targets, keeps))
 
 
 def _sampled_targets(profile: PhaseProfile, aperture: Aperture) -> FloatArray:
@@ -176,8 +201,13 @@ def _sampled_targets(profile: PhaseProfile, aperture: Aperture) -> FloatArray:
     return found
 
 
-def constant_phases(profile: PhaseProfile, table: SizeTable, aperture: Aperture) -> tuple[float, float]:
-    """Constant phases (x, y polarisation) that suit the library best, from a sample of at most a million sites."""
+def constant_phases(
+    profile: PhaseProfile, table: SizeTable, aperture: Aperture, *, keep_retardance: bool = False
+) -> tuple[float, float]:
+    """Constant phases (x, y polarisation) that suit the library best, from a sample of at most a million sites.
+
+    With ``keep_retardance``, both are equal.
+    """
     lattice = aperture.lattice
     rows, columns = _sampled_lines(lattice.shape[0]), _sampled_lines(lattice.shape[1])
     x_um, y_um = lattice.x_um()[columns], lattice.y_um()
@@ -186,7 +216,7 @@ def constant_phases(profile: PhaseProfile, table: SizeTable, aperture: Aperture)
         target = profile(x_um, y_um[block])
         inside = aperture.at(block, columns)
         histogram += table.histogram(target[0][inside], target[1][inside])
-    return global_offsets(table, histogram)
+    return global_offsets(table, histogram, keep_retardance=keep_retardance)
 
 
 def _sampled_lines(count: int) -> NDArray[np.int64]:

@@ -5,6 +5,7 @@ Sums over tiles (:class:`TileSums`) add up to those of the lens, which give its 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -67,8 +68,11 @@ class TileSums:
             tuple(one + two for one, two in zip(self.lights, other.lights, strict=True)),
         )
 
-    def figures(self, library: Library, table: SizeTable) -> MappingFigures:
-        """Return the figures of the lens whose sums these are; the library gives the media and the angle."""
+    def figures(self, library: Library, table: SizeTable, offsets_rad: Sequence[float]) -> MappingFigures:
+        """Return the figures of the lens whose sums these are; the library gives the media and the angle.
+
+        ``offsets_rad``: constants (x, y polarisation) that the target phases of the sums hold beside the design's.
+        """
         ratio = power_ratio_of(library)
         transmittance = self.power / self.pillars * ratio
         overlap = np.abs(self.overlap) ** 2 / (self.pillars * self.power)
@@ -79,6 +83,7 @@ class TileSums:
         square = None if self.among_square_error is None else self.among_square_error / (2 * self.pillars)
         gap_dbu = self.smallest_gap_dbu
         used = self.used > 0
+        retardance = self.overlap[1] * self.overlap[0].conj() * np.exp(1j * (offsets_rad[1] - offsets_rad[0]))
         return MappingFigures(
             pillars=self.pillars,
             distinct_sizes=int(np.count_nonzero(self.used[1:])),
@@ -93,6 +98,7 @@ class TileSums:
             efficiency=float(efficiency.mean()),
             efficiency_x=float(efficiency[0]),
             efficiency_y=float(efficiency[1]),
+            retardance_error_rad=float(np.angle(retardance)),
             neighbour_efficiency=None if among is None else float(among[1]),
             neighbour_efficiency_before=None if among is None else float(among[0]),
             neighbour_phase_rms_error_rad=None if square is None else float(np.sqrt(square[1])),

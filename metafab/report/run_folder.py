@@ -25,6 +25,7 @@ from metafab.library.library import Library
 from metafab.optics.point_spread import Psf
 from metafab.phase.studies.study import PhaseStudy
 from metafab.spec import Design
+from metafab.spec.light import light_label
 from metafab.steps import RunSummary
 
 Loaded = TypeVar("Loaded")
@@ -42,6 +43,7 @@ class DesignOutline:
     aperture_shape: str = "aperture"  #: Shape of the aperture.
     focal_length_mm: float | None = None  #: Focal length.
     wavelength_nm: float | None = None  #: Vacuum wavelength.
+    lights: tuple[str, ...] = ()  #: Wavelength and direction of each light of a design with several.
     terms: tuple[str, ...] = ()  #: Names of the phase terms.
     has_mask: bool = True  #: Whether the design writes a mask; assumed if unknown.
     has_scene: bool = True  #: Whether the design has a scene; assumed if unknown.
@@ -57,6 +59,10 @@ class DesignOutline:
             aperture_shape=device.get("aperture_shape", "aperture"),
             focal_length_mm=device.get("focal_length_mm"),
             wavelength_nm=cell.get("illumination", {}).get("wavelength_nm"),
+            lights=tuple(
+                light_label(light["wavelength_nm"], light.get("angle_x_deg", 0.0), light.get("angle_y_deg", 0.0))
+                for light in table.get("light", [])
+            ),
             terms=tuple(str(term.get("term", "")) for term in table.get("phase", [])),
             has_mask=bool(table.get("mask", {}).get("formats", ["oas"])),
             has_scene="scene" in table,

@@ -107,6 +107,9 @@ class Rules(Checked):
     #: Use only sizes that respond equally to both polarisations by symmetry: equal width and length, or crosses, in a
     #: square cell.
     polarisation_independent: Flag = False
+    #: Phase of y polarisation minus that of x: "kept" as the phase terms say, as light of both needs (wave plates), or
+    #: "free" to suit the library; "auto" keeps it where the terms of x and y differ by a constant other than 0.
+    retardance: Literal["auto", "kept", "free"] = "auto"
 
     def _faults(self) -> Iterator[str]:
         if self.cd_sigma_nm and self.gap_rule == "pairs":

@@ -138,11 +138,17 @@ _OF_PILLARS = {
 }
 
 
-def _library_error(library: LibraryFigures | None, layout: LayoutFigures | None) -> float | None:
-    """Error of the sizes that a mask uses; of all sizes where the layout does not state it."""
-    if layout is not None and layout.library_error is not None:
-        return layout.library_error
-    return None if library is None else library.max_error
+def _errors_of_mask(library: LibraryFigures | None, layout: LayoutFigures | None) -> tuple[float | None, float | None]:
+    """Library error and phase error of a mask's pillars, each in the worst light.
+
+    The library error is that of all sizes where the layout does not state it.
+    """
+    largest = None if library is None else library.max_error
+    if layout is None:
+        return largest, None
+    lights = [light.figures for light in layout.lights or ()] or [layout]
+    errors = [each.library_error for each in lights if each.library_error is not None]
+    return max(errors, default=largest), max(each.phase_rms_error_rad for each in lights)
 
 
 def _neighbours_line(summary: RunSummary) -> BudgetLine:
@@ -169,18 +175,20 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
     Errors of images are left out for a design without a scene, errors of pillars for a design without a mask.
     """
     library, layout, psf, decode = summary.library, summary.layout, summary.psf, summary.decode
+    library_error, phase_error_rad = _errors_of_mask(library, layout)
+    worst = ", in the worst light" if layout is not None and layout.lights else ""
     lines = [
         BudgetLine(
             "solver and library",
-            _library_error(library, layout),
+            library_error,
             "complex t",
-            "rms over the pillars of the bound of each size: certificate of the truncation plus interpolation",
+            f"rms over the pillars of the bound of each size: certificate of the truncation plus interpolation{worst}",
         ),
         BudgetLine(
             "size snapping and finite library",
-            None if layout is None else layout.phase_rms_error_rad,
+            phase_error_rad,
             "rad rms",
-            "phase of the chosen size against the target, over all pillars",
+            f"phase of the chosen size against the target, over all pillars{worst}",
         ),
         BudgetLine(
             "index of the pillar",

@@ -59,6 +59,10 @@ def psf_command(
             metavar="L", help="One of the wavelengths in the design's [[light]] tables [default: the unit cell's]."
         ),
     ] = None,
+    angle_deg: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="X Y", help="Direction of one of the [[light]] tables [default: along the axis]."),
+    ] = None,
     pixel_um: Annotated[float | None, typer.Option(metavar="P", help="Sampling step [default: the sensor's].")] = None,
     window_px: Annotated[
         int | None, typer.Option(min=4, max=2048, metavar="N", help="Side of the window [default: the design's].")
@@ -81,6 +85,7 @@ def psf_command(
     from metafab.core.storage.files import require_hdf5_name
     from metafab.spec import load_scene
     from metafab.steps import optics
+    from metafab.steps.job import light_tangent
 
     if output is not None:
         require_hdf5_name(output)
@@ -94,6 +99,7 @@ def psf_command(
     options = {
         "--depths-m": depths_m,
         "--object-mm": object_mm,
+        "--angle-deg": angle_deg,
         "--centre-um": centre_um,
         "--pixel-um": pixel_um,
         "--window-px": window_px,
@@ -106,6 +112,8 @@ def psf_command(
     if len(present) > 1 and (calibration or scene is not None):
         whole = "--scene" if scene is not None else "--calibration"
         raise InputError.single("psf", whole, "no option that it answers itself", ", ".join(present))
+    if object_mm is not None and angle_deg is not None:
+        raise InputError.single("psf", "--object-mm", "the place of the object, or --angle-deg", "both")
     require_positive("--depths-m", *(depth for depth in depths_m or () if depth != math.inf))
     require_positive("--pixel-um", pixel_um)
     require_positive("--wavelength-nm", wavelength_nm)
@@ -113,8 +121,8 @@ def psf_command(
     require_finite("--centre-um", *(centre_um or ()))
     with open_work(workers, cluster) as (work, cost):
         job = open_job(design, None, work)
-        if wavelength_nm is not None:
-            job = _at_wavelength(job, wavelength_nm)
+        if wavelength_nm is not None or angle_deg is not None:
+            job = _at_light(job, wavelength_nm, angle_deg)
         light_at_um = None
         if calibration:
             pair = optics.calibration(job, layout, copy=copy, printed=printed)
@@ -133,6 +141,7 @@ def psf_command(
                 centre_um=centre_um,
                 printed=printed,
                 sizes=sizes,
+                tangent=None if job.light is None else light_tangent(job.design, job.light),
             )
     if output is not None:
         optics.save_psf(job, pair, layout, output, copy, printed, sizes)
@@ -141,14 +150,19 @@ def psf_command(
     show(figures, json_, seconds=cost.seconds, file=output)
 
 
-def _at_wavelength(job: Job, wavelength_nm: float) -> Job:
-    """The job at one of the wavelengths that its design serves."""
+def _at_light(job: Job, wavelength_nm: float | None, angle_deg: tuple[float, float] | None) -> Job:
+    """The job in one of the lights that its design serves."""
+    from metafab.spec.light import light_label
+
+    own_nm = job.design.unit_cell.illumination.wavelength_nm
+    key = (own_nm if wavelength_nm is None else wavelength_nm, *(angle_deg or (0.0, 0.0)))
     for light in job.design.light:
-        if light.wavelength_nm == wavelength_nm and not light.angles_deg:
+        if light.key == key:
             return job.at_light(light)
-    listed = ", ".join(f"{light.wavelength_nm:g}" for light in job.design.light if not light.angles_deg)
-    expected = f"a wavelength, along the axis, of the design's `light` tables ({listed or 'it has none'})"
-    raise InputError.single("psf", "--wavelength-nm", expected, f"{wavelength_nm:g}", "add a [[light]] to the design")
+    option = "--wavelength-nm" if angle_deg is None else "--angle-deg"
+    listed = "; ".join(light.label for light in job.design.light)
+    expected = f"one of the design's `light` tables ({listed or 'it has none'})"
+    raise InputError.single("psf", option, expected, light_label(*key), "add a [[light]] to the design")
 
 
 @app.command("psf import")

@@ -76,11 +76,11 @@ class SizesOfLights:
         shape = target_rad.shape[2:]
         return index.reshape(shape), overlap.reshape(shape)
 
-    def constant_phases(self, target_rad: FloatArray) -> FloatArray:
+    def constant_phases(self, target_rad: FloatArray, keeps_retardance: Sequence[bool] = ()) -> FloatArray:
         """Return the constants that, added to the targets, give the largest total overlap found: (K, 2), in (-pi, pi].
 
         ``target_rad``, shape (K, 2, n), holds the target phases at a sample of sites; of many sites with many sizes,
-        some are used.
+        some are used. Lights that keep their retardance, K flags, none by default, have one constant for x and y.
         """
         lights = len(self.tables)
         step = max(1, -(-target_rad.shape[-1] * len(self.field) // _SEARCHED))
@@ -88,6 +88,8 @@ class SizesOfLights:
         fields = (self.field[:, 0::2] + 1j * self.field[:, 1::2]).T
         draws = np.random.default_rng(0).uniform(-np.pi, np.pi, (_STARTS, 2 * lights))
         draws[0] = 0.0
+        kept = np.flatnonzero(keeps_retardance)
+        draws[:, 2 * kept + 1] = draws[:, 2 * kept]
         best, best_total = draws[0], -np.inf
         for start in draws:
             offsets, total = start, -np.inf
@@ -100,6 +102,7 @@ class SizesOfLights:
                     break
                 total = reached
                 sums = np.sum(fields[:, chosen] * np.exp(-1j * targets), axis=1)
+                sums[2 * kept] = sums[2 * kept + 1] = sums[2 * kept] + sums[2 * kept + 1]
                 offsets = np.where(np.abs(sums) > 0.0, np.angle(sums), offsets)
             if total > best_total * (1.0 + 1e-9):
                 best, best_total = offsets, total

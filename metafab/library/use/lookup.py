@@ -147,21 +147,26 @@ def trust(t: ComplexArray, error: FloatArray, target_error: float) -> FloatArray
     return np.where(error[:, None] > target_error, left, 1.0)
 
 
-def global_offsets(table: SizeTable, histogram: NDArray[np.int64]) -> tuple[float, float]:
+def global_offsets(
+    table: SizeTable, histogram: NDArray[np.int64], *, keep_retardance: bool = False
+) -> tuple[float, float]:
     """Return constant phases (c_x, c_y) that, added to a design's target phases, give the largest total overlap.
 
     A constant phase of a whole lens does not change its image, but moves the targets away from pairs of phases that no
     size reaches. For targets spread evenly over the torus all offsets are equal, and (0, 0) is returned.
 
     The number of targets in each cell, shape (cells, cells), is that of :meth:`SizeTable.histogram`. Offsets are
-    multiples of 2 pi / cells, wrapped to (-pi, pi].
+    multiples of 2 pi / cells, wrapped to (-pi, pi]; with ``keep_retardance``, c_x = c_y.
     """
     if histogram.shape != table.overlap.shape:
         raise ValueError(f"`histogram`: expected shape {table.overlap.shape}, got {histogram.shape}")
     spectrum = np.conj(np.fft.rfft2(histogram.astype(np.float64))) * np.fft.rfft2(table.overlap)
     total = np.fft.irfft2(spectrum, s=histogram.shape)
+    rounding = 1e-12 * np.abs(total).max()
+    if keep_retardance:
+        total = np.where(np.eye(table.cells, dtype=np.bool_), total, -np.inf)
     # Totals that differ by rounding only are equal; the first of them belongs to (0, 0).
-    best = np.flatnonzero(total.ravel() >= total.max() - 1e-12 * np.abs(total).max())[0]
+    best = np.flatnonzero(total.ravel() >= total.max() - rounding)[0]
     row, column = divmod(int(best), table.cells)
     step = 2.0 * math.pi / table.cells
     return float(wrap_phase(column * step)), float(wrap_phase(row * step))

@@ -10,6 +10,7 @@ from metafab.report import html
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import depth_text
+from metafab.steps.layout import LayoutFigures
 from metafab.steps.merit import LightsFigures, MeritFigures
 
 #: Source of the simulated light, by whether the design has a mask.
@@ -45,7 +46,7 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         html.wide(html.figure(drawn["psf_pair"])) if "psf_pair" in drawn else "",
         html.figures(drawn, *(("psf_orientation", "psf_peak") if several else ()), "psf_focus", "psf_mtf"),
         "" if run.summary.merit is None else _merit(run.summary.merit, has_lobe=run.outline.has_lobe),
-        "" if run.summary.lights is None else _lights(run.summary.lights),
+        "" if run.summary.lights is None else _lights(run.summary.lights, run.summary.layout),
         html.figures(drawn, "wavefront_x", "wavefront_y"),
         html.figures(drawn, "psf_field_x", "psf_field_y"),
         html.figures(drawn, "depth_bias", "distortion"),
@@ -95,15 +96,19 @@ def _focus(focus: FocusFigures) -> str:
     return html.table(["", "written mask", "limit"], rows, ["", "n", "n"]) + html.paragraph(text, "caption")
 
 
-def _lights(figures: LightsFigures) -> str:
-    """Efficiency and focus in each light that the mask serves."""
+def _lights(figures: LightsFigures, layout: LayoutFigures | None) -> str:
+    """Efficiency, focus and library error in each light that the mask serves; focus figures along the axis alone."""
+    mapped = {
+        (light.wavelength_nm, light.angle_x_deg, light.angle_y_deg): light.figures.library_error
+        for light in (layout and layout.lights) or ()
+    }
     rows = [
         [
             light.label,
             _share(0.5 * sum(pair[0] for pair in (light.pair.efficiency_x, light.pair.efficiency_y))),
             _share(0.5 * (light.ideal_efficiency_x[0] + light.ideal_efficiency_y[0])),
             *(
-                ["", "", ""]
+                ["–", "–", "–"]
                 if light.focus is None
                 else [
                     html.number(0.5 * (light.focus.fwhm_x_um + light.focus.fwhm_y_um)),
@@ -111,13 +116,15 @@ def _lights(figures: LightsFigures) -> str:
                     _share(light.focus.strehl),
                 ]
             ),
+            html.number(mapped.get((light.wavelength_nm, light.angle_x_deg, light.angle_y_deg)), 2),
         ]
         for light in figures.lights
     ]
-    head = ["light", "efficiency", "of the target phases", "FWHM / µm", "limit / µm", "Strehl ratio"]
+    head = ["light", "efficiency", "of the target phases", "FWHM / µm", "limit / µm", "Strehl ratio", "library error"]
     text = (
         "Wavelengths and directions that the mask serves, at the first depth, mean of both polarisations. Efficiency: "
-        "share of the light at the aperture in the window."
+        "share of the light at the aperture in the window. Library error: bound on complex t, rms over the pillars. "
+        "Widths and Strehl ratios are those of a lens' light along the axis."
     )
     return html.table(head, rows, ["", *["n"] * (len(head) - 1)]) + html.paragraph(text, "caption")
 
@@ -131,7 +138,7 @@ def _aberrations(fronts: tuple[AberrationFigures, ...]) -> str:
     rows = [
         ["rms", *(html.number(front.rms_waves) for front in fronts)],
         *(
-            [f"{number}, {name}", *(html.number(front.noll_waves[number - 1]) for front in fronts)]
+            [f"{number}, {name}", *(html.number(round(front.noll_waves[number - 1], 9) + 0.0) for front in fronts)]
             for number, name in enumerate(_NOLL, start=2)
         ),
         ["what 36 polynomials leave", *(html.number(front.residual_waves) for front in fronts)],

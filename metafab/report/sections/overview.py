@@ -58,7 +58,9 @@ def subtitle(run: RunFolder) -> str:
         parts.append(f"{size} {outline.aperture_shape}")
     if outline.focal_length_mm is not None:
         parts.append(f"focal length {outline.focal_length_mm:g} mm")
-    if outline.wavelength_nm is not None:
+    if outline.lights:
+        parts.append("; ".join(outline.lights))
+    elif outline.wavelength_nm is not None:
         parts.append(f"{outline.wavelength_nm:g} nm")
     if outline.terms:
         parts.append(" + ".join(term.replace("_", " ") for term in outline.terms))

@@ -11,6 +11,8 @@ from metafab.core.errors import Fault
 from metafab.spec.keys.reference import names_at, near
 
 _UNKNOWN = {"extra_forbidden", "unexpected_keyword_argument"}
+#: Parts of names that users give the phase of turned pillars; no term makes it.
+_GEOMETRIC = ("geometric", "berry", "pb", "rotat")
 _MISSING = {"missing", "missing_argument"}
 _TYPES = {
     "int_type": "a whole number",
@@ -70,6 +72,8 @@ def _fault(item: Any, spec: Any) -> Fault:
 def _unknown_choice(field: str, choices: str, got: Any) -> Fault:
     known = [word.strip(" '") for word in choices.replace(" or ", ",").split(",")]
     remedy = near(got, known) if isinstance(got, str) else ""
+    if field.endswith(".term") and any(word in str(got).lower() for word in _GEOMETRIC):
+        remedy = "pillars stand upright and give x and y polarisation their phases; `metafab stokes` turns pillars"
     return Fault(field, choices, _got(got) if got != "" else "nothing", remedy)
 
 

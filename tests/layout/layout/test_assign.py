@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import Literal
 
 import numpy as np
 import pytest
 
 from metafab import layout
-from metafab.core.conventions import wrap_phase
+from metafab.core.conventions import FloatArray, Polarisation, wrap_phase
 from metafab.core.errors import InputError
 from metafab.layout import Aperture, Assignment, PillarMap
 from metafab.layout.gap_rule import allowed_sizes
@@ -61,6 +62,52 @@ def test_no_other_size_would_overlap_much_better(
     inside = index[row] > 0
     largest = np.abs(table.t).max()
     assert np.all((overlap[1:].max(axis=0) - chosen)[inside] <= 2 * largest * np.sqrt(2) * np.pi / 512)
+
+
+@dataclass(frozen=True)
+class WavePlate:
+    """A lens that retards y polarisation by a constant phase."""
+
+    retardance_rad: float
+
+    def __call__(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
+        path = np.sqrt(x_um[None, :] ** 2 + y_um[:, None] ** 2 + 200.0**2)
+        return -2.0 * np.pi / 0.8 * path + (self.retardance_rad if polarisation == "y" else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("retardance_rad", "rule", "kept"),
+    [(np.pi, "auto", True), (np.pi, "free", False), (0.0, "auto", False), (0.0, "kept", True)],
+)
+def test_a_wave_plate_keeps_its_retardance(
+    retardance_rad: float,
+    rule: Literal["auto", "kept", "free"],
+    kept: bool,
+    smooth_library: Library,
+    tiny_design: Design,
+) -> None:
+    """Retardance of the chosen pillars, by their t directly; one constant serves both polarisations where it is kept.
+
+    0.1 rad: targets cover all phases, which the library's sizes reach to within 0.3 rad without a common sign.
+    """
+    design = replace(tiny_design, rules=replace(tiny_design.rules, retardance=rule))
+    found = layout.assign(PhaseProfile((WavePlate(retardance_rad),)), smooth_library, design)
+    assert (found.offsets_rad[0] == found.offsets_rad[1]) == kept
+    index = found.pillars.to_array()
+    t = smooth_library.at_sizes(*np.moveaxis(found.pillars.size_nm()[index[index > 0]], -1, 0))
+    reached = np.angle(np.mean(t.t_yy * t.t_xx.conj()))
+    error = found.figures.retardance_error_rad
+    assert error is not None
+    # Mean of products against product of means: second order in phase errors.
+    assert abs(wrap_phase(reached - retardance_rad - error)) < 0.1
+    if kept:
+        assert abs(error) < 0.1
+
+
+def test_squares_are_no_wave_plate(smooth_library: Library, tiny_design: Design) -> None:
+    design = replace(tiny_design, rules=replace(tiny_design.rules, polarisation_independent=True))
+    with pytest.raises(InputError, match=r"respond equally.*retardance of -?3.14 rad.*rectangles or ellipses"):
+        layout.assign(PhaseProfile((WavePlate(np.pi),)), smooth_library, design)
 
 
 @pytest.mark.parametrize("tile_sites", [17, 51, 476])

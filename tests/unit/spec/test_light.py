@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from pydantic import ValidationError
 
+from metafab.optics import load
 from metafab.spec import Design, Light
 from metafab.spec.cell import Axes
 from metafab.spec.design import Optics
@@ -14,6 +17,7 @@ from metafab.spec.terms import Lens
 from tests.main_job import SMALL, metafab
 
 OWN, OTHER = Light(800.0), Light(700.0)
+SAMPLE_CELL = Path("unitcell_lib/tio2_532nm.toml")
 
 
 def test_several_lights_are_checked(small_design: Design) -> None:
@@ -66,3 +70,26 @@ def test_a_psf_at_a_wavelength_that_the_design_does_not_serve_is_refused() -> No
     answer = metafab("psf", "--ideal", "--design", SMALL, "--wavelength-nm", "700")
     assert answer.code == 2
     assert "`light` tables (it has none)" in answer.stderr
+
+
+def test_a_psf_of_slanting_light_is_asked_for_by_its_direction(tmp_path: Path) -> None:
+    """The window lies where a ray through the middle of the lens lands: it leaves glass of 1.461 at 10 degrees."""
+    cell = SAMPLE_CELL.read_text().replace("[solver]", "[sweep.axes]\nangle_x_deg = [0.0, 10.0]\n\n[solver]")
+    (tmp_path / "cell.toml").write_text(cell)
+    lens = (
+        'name = "wide"\nlibrary = "cell.toml"\n[device]\naperture_um = 20.0\nfocal_length_mm = 0.05\n'
+        '[[phase]]\nterm = "lens"\n[[light]]\nwavelength_nm = 532.0\n'
+        "[[light]]\nwavelength_nm = 532.0\nangle_x_deg = 10.0\n"
+        '[rules]\n[mask]\nformats = ["oas"]\n[sensor]\npixel_um = 0.25\nfocus_depth_m = 1000.0\n'
+        "[verify]\ndepths_m = [1000.0]\n"
+    )
+    (tmp_path / "wide.toml").write_text(lens)
+    ask = ("psf", "--ideal", "--design", tmp_path / "wide.toml", "--json", "-o", tmp_path / "psf.h5")
+    answer = metafab(*ask, "--angle-deg", "10", "0")
+    assert answer.code == 0, answer.stderr
+    centre_um = load(tmp_path / "psf.h5").centre_um[0, 0]
+    sine = 1.461 * math.sin(math.radians(10.0))
+    assert centre_um == pytest.approx([50.0 * sine / math.sqrt(1.0 - sine**2), 0.0], rel=1e-3, abs=1e-3)
+    refused = metafab(*ask, "--angle-deg", "5", "0")
+    assert refused.code == 2
+    assert "532 nm; 532 nm, 10 deg in x-z" in refused.stderr and "got 532 nm, 5 deg in x-z" in refused.stderr

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from metafab import fullwave
+from metafab.core.figures import LightMapping
 from metafab.core.storage.files import file_sha256
 from metafab.fullwave.coupling import CouplingRow
 from metafab.spec import Design
@@ -36,6 +37,14 @@ PSF = PsfFigures(
     blocks=64.0,
     field_error=1e-3,
 )
+
+
+def test_the_budget_of_several_lights_is_that_of_the_worst() -> None:
+    both = replace(LAYOUT, library_error=4e-3, phase_rms_error_rad=0.3), replace(LAYOUT, library_error=0.17)
+    lights = tuple(LightMapping(633.0, 1.0, (0.0, 0.0), each) for each in both)
+    solver, snapping, *_ = error_budget(RunSummary(layout=replace(both[0], lights=lights), psf=PSF))
+    assert (solver.value, snapping.value) == (0.17, 0.3)
+    assert solver.how.endswith("in the worst light")
 
 
 @pytest.fixture

@@ -124,3 +124,10 @@ def test_constant_phases_beat_any_draw(sizes: SizesOfLights) -> None:
     assert total >= max(sizes.best(targets + draw[..., None])[1].sum() for draw in draws)
     assert total > 1.02 * sizes.best(targets)[1].sum()
     assert np.all(sizes.constant_phases(targets[..., :0]) == 0.0), "no sampled site"
+    kept = [True, False, True]
+    together = sizes.constant_phases(targets, kept)
+    assert np.array_equal(together[:, 0] == together[:, 1], kept)
+    draws[:, kept, 1] = draws[:, kept, 0]
+    assert sizes.best(targets + together[..., None])[1].sum() >= max(
+        sizes.best(targets + draw[..., None])[1].sum() for draw in draws
+    )

@@ -161,6 +161,10 @@ def test_global_offsets_find_the_best_place_of_all(table: SizeTable) -> None:
     c_x, c_y = global_offsets(table, histogram)
     reached = np.sum(table.overlap[table.nearest_cell(phases[1] + c_y), table.nearest_cell(phases[0] + c_x)])
     assert reached == pytest.approx(total.max(), rel=2e-3)  # targets on a cell's edge may round the other way
+    c_x, c_y = global_offsets(table, histogram, keep_retardance=True)
+    assert c_x == c_y
+    reached = np.sum(table.overlap[table.nearest_cell(phases[1] + c_y), table.nearest_cell(phases[0] + c_x)])
+    assert reached == pytest.approx(np.diagonal(total).max(), rel=2e-3)
 
 
 def test_even_targets_leave_the_offsets_alone(table: SizeTable) -> None:

@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metafab.core.figures import ToleranceRow, ToleranceTable
+from metafab.core.figures import LightMapping, ToleranceRow, ToleranceTable
 from metafab.core.storage.tables import typed
 from metafab.library import Library
-from metafab.report.run_folder import RunFolder
+from metafab.report.run_folder import DesignOutline, RunFolder
 from metafab.report.sections.light import point_spread, tolerances
+from metafab.report.sections.overview import subtitle
 from metafab.steps.merit import LightFigures, LightsFigures
 from metafab.steps.optics import PairFigures
 from metafab.steps.summary import RunSummary
@@ -86,5 +87,18 @@ def test_each_wavelength_of_a_mask_stands_in_full(tmp_path: Path, smooth_library
     lights = LightsFigures(tuple(LightFigures(each, "psf.h5", pair, (0.9,), (0.8,)) for each in wavelengths))
     page = point_spread(replace(run, summary=replace(run.summary, lights=lights)), {})
     share = f"{0.5 * (pair.efficiency_x[0] + pair.efficiency_y[0]):.3f}"
-    for cell in ("1549.6 nm", "1550.4 nm", "632.8 nm", share, "0.850"):
+    for cell in ("1549.6 nm", "1550.4 nm", "632.8 nm", share, "0.850", "–"):
         assert f">{cell}</td>" in page
+    own = run.summary.layout
+    assert own is not None
+    mapped = tuple(LightMapping(each, 1.0, (0.0, 0.0), replace(own, library_error=0.17)) for each in wavelengths)
+    summary = replace(run.summary, lights=lights, layout=replace(own, lights=mapped))
+    assert point_spread(replace(run, summary=summary), {}).count(">0.17</td>") == 3
+
+
+def test_the_first_line_names_every_light(tmp_path: Path) -> None:
+    (tmp_path / "design.toml").write_text(
+        "[[light]]\nwavelength_nm = 633.0\n[[light]]\nwavelength_nm = 633.0\nangle_x_deg = 10.0\n"
+    )
+    outline = DesignOutline.load(tmp_path / "design.toml")
+    assert "633 nm; 633 nm, 10 deg in x-z" in subtitle(RunFolder(tmp_path, outline=outline))

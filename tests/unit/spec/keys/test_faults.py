@@ -34,6 +34,7 @@ def _message(spec: Any, table: dict[str, Any]) -> str:
         (Mask, {"flat": "yes"}, "`flat`: expected true or false, got 'yes'"),
         (Mask, {"layer": 1.5}, "`layer`: expected a whole number, got 1.5"),
         (Design, {"phase": [{"term": "spiral_zone"}]}, "did you mean `spiral_zones`?"),
+        (Design, {"phase": [{"term": "geometric"}]}, "pillars stand upright"),
         (Design, {"phase": [{}]}, "`phase[0].term`: expected the name of a phase term, got nothing"),
         (Design, {"phase": {"term": "lens"}}, "expected a list of tables, each headed [[phase]], got one table"),
         (Design, {"phase": [{"term": "lens", "object_depth": 1}]}, "did you mean `object_depth_m`?"),
