@@ -234,7 +234,7 @@ class Neighbours:
     """Training of the model of unlike neighbours, which a library holds if its unit cell has this table."""
 
     #: Rows of unlike pillars to solve, for each direction of the row and each polarisation.
-    rows: Annotated[int, Field(strict=True, ge=60, le=20_000)] = 480
+    rows: Annotated[int, Field(strict=True, ge=60, le=20_000)] = 960
 
 
 @dataclass(frozen=True, config=CONFIG)

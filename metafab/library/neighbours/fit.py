@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.blas import zherk
 
@@ -45,6 +46,12 @@ class RowSet:
         off = field @ self.to_orders.T - amplitude
         return np.asarray(np.linalg.norm(off, axis=1) / np.linalg.norm(amplitude, axis=1))
 
+    def part(self, chosen: NDArray[np.bool_]) -> RowSet:
+        """The rows where ``chosen``, shape (rows,), is true."""
+        return replace(
+            self, size_nm=self.size_nm[chosen], local=self.local[:, chosen], amplitude=self.amplitude[:, chosen]
+        )
+
 
 @dataclass(frozen=True)
 class FitLimits:
@@ -60,7 +67,6 @@ def fit(
     model: LineModel,
     sets: Sequence[RowSet],
     limits: FitLimits = FitLimits(),
-    report: Callable[[int, int], None] | None = None,
 ) -> LineModel:
     """Fit a chain to the light that rows reflect and transmit: least squares, with a prior against high degrees.
 
@@ -68,7 +74,6 @@ def fit(
         model: parameters to start from.
         sets: rows to fit, at least one.
         limits: stopping rules and prior.
-        report: called with the step and the largest number of steps.
 
     Returns:
         The chain with the smallest loss.
@@ -77,8 +82,8 @@ def fit(
     ridge = limits.ridge * _prior(model.shape)
     terms = [model.polynomials(rows.size_nm) for rows in sets]
     damping, losses = 1e-1, []
-    loss = _loss(model, sets, terms, ridge, limits.reflected)
-    for step in range(limits.steps):
+    least = _loss(model, sets, terms, ridge, limits.reflected)
+    for _ in range(limits.steps):
         normal, gradient = _normal_equations(model, sets, terms, limits.reflected)
         gradient = gradient + ridge * vector
         normal[np.diag_indices(vector.size)] += ridge
@@ -88,20 +93,24 @@ def fit(
             damped[np.diag_indices(vector.size)] += damping * scale
             trial = vector - cho_solve(cho_factor(damped, overwrite_a=True), gradient)
             trial_loss = _loss(model.with_vector(trial), sets, terms, ridge, limits.reflected)
-            if trial_loss < loss:
+            if trial_loss < least:
                 break
             damping *= 4.0
         else:
             break
-        vector, loss = trial, trial_loss
+        vector, least = trial, trial_loss
         model = model.with_vector(vector)
         damping = max(damping / 5.0, 1e-9)
-        losses.append(loss)
-        if report is not None:
-            report(step + 1, limits.steps)
-        if len(losses) > 8 and losses[-6] - loss < limits.gain * loss:
+        losses.append(least)
+        if len(losses) > 8 and losses[-6] - least < limits.gain * least:
             break
     return model
+
+
+def loss(model: LineModel, sets: Sequence[RowSet], limits: FitLimits) -> float:
+    """The quantity that :func:`fit` makes small: weighted squared residuals, relative to the light, plus the prior."""
+    terms = [model.polynomials(rows.size_nm) for rows in sets]
+    return _loss(model, sets, terms, limits.ridge * _prior(model.shape), limits.reflected)
 
 
 def _prior(shape: LineShape) -> FloatArray:

@@ -36,15 +36,3 @@ def test_orders_of_a_row_are_its_fourier_series() -> None:
     rows = _rows(1, 2, 5)
     back = rows.amplitude @ np.exp(2j * np.pi * np.outer(rows.order, (np.arange(5) + 0.5) / 5 - 0.5))
     assert np.abs(back @ rows.to_orders.T - rows.amplitude).max() < 1e-13
-
-
-def test_a_fit_reports_its_steps() -> None:
-    seen: list[tuple[int, int]] = []
-    fit(
-        initial_model(LineShape(1, 1, 0), SPAN, SPAN, 1),
-        [_rows(1, 4, 3)],
-        FitLimits(steps=3),
-        lambda step, total: seen.append((step, total)),
-    )
-    assert seen
-    assert all(1 <= step <= total == 3 for step, total in seen)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,14 +16,12 @@ from metafab.cell.supercell import Supercell
 from metafab.core.errors import InputError
 from metafab.library.library import Library, inputs_of
 from metafab.library.neighbours import require_neighbours, rows, solve_supercell, training
-from metafab.library.neighbours.fit import FitLimits, RowSet, fit
+from metafab.library.neighbours.fit import FitLimits, RowSet, fit, loss
 from metafab.library.neighbours.line import LineModel, LineShape
 from metafab.library.store import load, save
 from metafab.spec import UnitCell
 from metafab.spec.cell import Neighbours as Training
 from metafab.spec.toml import validate
-
-Report = Callable[[int, int], None]
 
 SMALL_SHAPE = LineShape(2, 1, 1)
 
@@ -46,9 +45,15 @@ def asked(smooth_library: Library) -> Library:
 
 
 @pytest.fixture(scope="module")
-def trained(asked: Library, coarse: None) -> Library:
+def solved_rows(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Checkpoint that trainings share, so that one of them solves the rows."""
+    return tmp_path_factory.mktemp("training") / "rows"
+
+
+@pytest.fixture(scope="module")
+def trained(asked: Library, coarse: None, solved_rows: Path) -> Library:
     """The library with its model."""
-    return replace(asked, neighbours=training.train(asked))
+    return replace(asked, neighbours=training.train(asked, checkpoint=solved_rows))
 
 
 @pytest.mark.usefixtures("coarse")
@@ -85,23 +90,42 @@ def test_training_restarts_and_is_stored(asked: Library, tmp_path: Path, monkeyp
 
 
 @pytest.mark.usefixtures("coarse")
-def test_the_start_with_the_smallest_error_is_kept(asked: Library, monkeypatch: pytest.MonkeyPatch) -> None:
-    ends: list[tuple[float, LineModel]] = []
+def test_the_best_start_is_fitted_to_all_rows(
+    asked: Library, solved_rows: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fits: list[tuple[LineModel, list[RowSet], FitLimits, LineModel]] = []
 
-    def recorded(model: LineModel, sets: list[RowSet], limits: FitLimits, report: Report | None = None) -> LineModel:
-        end = fit(model, sets, limits, report)
-        if report is not None:
-            errors = [np.sqrt(rows.weight.max()) * rows.errors(end) for rows in sets]
-            ends.append((float(np.mean(np.concatenate(errors) ** 2)), end))
-        return end
+    def recorded(model: LineModel, sets: list[RowSet], limits: FitLimits) -> LineModel:
+        fits.append((model, sets, limits, fit(model, sets, limits)))
+        return fits[-1][-1]
 
     monkeypatch.setattr(training, "STARTS", 2)
     monkeypatch.setattr(training, "fit", recorded)
-    lines = training.train(asked).lines
-    assert len(ends) == 2 * len(lines) == 4
-    for line, (first, second) in zip(lines, (ends[:2], ends[2:]), strict=True):
-        assert first[0] != second[0]
-        assert line.model is (first if first[0] < second[0] else second)[1]
+    lines = training.train(asked, checkpoint=solved_rows).lines
+    # Two fits for each of two starts of two chains, and the last one of each chain.
+    assert len(fits) == 2 * 4 + 2
+    for number, line in enumerate(lines):
+        begun, sets, limits, end = fits[8 + number]
+        starts = [fits[4 * number + 1], fits[4 * number + 3]]
+        assert [sum(len(fitted.size_nm) for fitted in each) for each in (sets, starts[0][1])] == [50, 25]
+        first, second = (loss(start[-1], sets, limits) for start in starts)
+        assert first != second
+        assert begun is starts[int(second < first)][-1]
+        assert line.model is end
+        # The strongest order of each row with steady phases counts most.
+        steady = [fitted for fitted in sets if np.ptp(fitted.weight) > fitted.weight.min()]
+        assert sum(len(fitted.size_nm) for fitted in steady) == 25
+        for fitted in steady:
+            assert np.all(np.argmax(np.abs(fitted.amplitude[1]), axis=1) == np.argmax(fitted.weight))
+
+
+@pytest.mark.usefixtures("coarse")
+def test_workers_fit_the_same_chains(trained: Library, asked: Library, solved_rows: Path) -> None:
+    with ThreadPoolExecutor(2) as executor:
+        model = training.train(asked, executor=executor, checkpoint=solved_rows)
+    for line, serial in zip(model.lines, require_neighbours(trained).lines, strict=True):
+        assert np.array_equal(line.model.vector, serial.model.vector)
+        assert line.statistics == serial.statistics
 
 
 def test_supercells_by_the_model(trained: Library) -> None:
