@@ -24,6 +24,7 @@ import matplotlib.pyplot as plt
 from overview_picture import DEPTHS, pairs
 
 from metafab import camera, decode, optics
+from metafab.comparison import Comparison, load_comparison
 from metafab.phase import profile_of
 from metafab.spec import load_design
 
@@ -141,17 +142,22 @@ def rows(
 
 
 def picture(runs: Path, library: Path, summary: dict[str, Any], path: Path) -> None:
-    """Maps of the library, target phases, orientation over depth, PSFs, the decoded scene, and other scenes' depths."""
+    """Maps of the library, phases, orientation, PSFs, depth against a standard lens, efficiency, and the scenes."""
     run, further = runs / "helix_2mm", [name for name in OTHERS if (runs / name / "decoded.h5").is_file()]
     plt.rcParams.update({"font.size": 8})
-    figure = plt.figure(figsize=(11.0, 9.4 if further else 8.4), layout="constrained")
-    ratios = (1.0, 1.15, 0.75, 0.65)[: 4 if further else 3]
-    top, middle, bottom, *last = figure.subfigures(len(ratios), 1, height_ratios=ratios)
+    figure = plt.figure(figsize=(11.0, 11.6 if further else 10.4), layout="constrained")
+    ratios = (1.0, 1.15, 0.95, 0.62, 0.6)[: 5 if further else 4]
+    top, middle, figures, bottom, *last = figure.subfigures(len(ratios), 1, height_ratios=ratios)
     maps(top.subplots(1, 4), library, run)
     left, right = middle.subfigures(1, 2, width_ratios=(1.0, 2.0))
     orientation(left.subplots(), summary)
     pairs(right.subplots(2, DEPTHS), run)
-    scene(bottom.subplots(1, 4), run)
+    against_lens, through = figures.subplots(1, 2, width_ratios=(1.0, 1.2))
+    compared = load_comparison(run / "comparison.json")
+    if compared is not None:
+        rivals(against_lens, compared)
+    efficiency(through, summary["merit"])
+    scene(bottom.subplots(1, 4), run, summary["decode"]["nmae"])
     if further:
         others(last[0].subplots(1, 2 * len(further), squeeze=False)[0], runs, further)
     figure.savefig(path, dpi=90, facecolor="white")
@@ -195,14 +201,39 @@ def orientation(place: plt.Axes, summary: dict[str, Any]) -> None:
     place.legend()
 
 
-def scene(places: np.ndarray, run: Path) -> None:
+def rivals(place: plt.Axes, compared: Comparison) -> None:
+    """Error of depth of textured planes: this design, standard lenses and the double helix, with their bounds."""
+    for name, error, bound in zip(compared.methods, compared.error, compared.bound, strict=True):
+        (line,) = place.semilogy(100.0 * compared.depth_m, 100.0 * error, "o-", markersize=3, label=name)
+        place.semilogy(100.0 * compared.depth_m, 100.0 * bound, ":", color=line.get_color(), linewidth=1.0)
+    place.plot([], [], ":", color="0.5", label="bound of each")
+    place.set(title="depth of textured planes, rms error / %", xlabel="object depth / cm")
+    place.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+
+
+def efficiency(place: plt.Axes, merit: dict[str, Any]) -> None:
+    """Light through the pinhole over depth: target phases, written file, and the paper's made lens."""
+    depth_cm, measured = 100.0 * np.array(merit["depth_m"]), merit["measured"]
+    for name, style in (("x", "o-"), ("y", "x--")):
+        place.plot(
+            depth_cm, merit[f"ideal_pinhole_efficiency_{name}"], style, color="0.6", label=f"target phases, {name}"
+        )
+        place.plot(
+            depth_cm, merit[f"pinhole_efficiency_{name}"], style, color="tab:blue", label=f"written file, {name}"
+        )
+        place.axhline(measured[f"efficiency_{name}"], color="tab:red", linestyle=style[1:], label=f"made lens, {name}")
+    place.set(title="efficiency through a pinhole of 100 µm", xlabel="object depth / cm", ylim=(0.0, 1.0))
+    place.legend(ncols=3, loc="lower center", frameon=False)
+
+
+def scene(places: np.ndarray, run: Path, nmae: float) -> None:
     """Decoded images, contrast and depth."""
     with h5py.File(run / "decoded.h5") as file:
         shown = [file[name][:] for name in ("intensity_x", "intensity_y", "contrast", "depth_m")]
     bright = np.nanpercentile(shown[0], 99.8)
     colours = ("gray", "gray", "viridis", "viridis")
     limits = ((0.0, bright), (0.0, bright), (0.5, 3.0), (None, None))
-    titles = ("I_x", "I_y", "I_x / I_y", "depth / m")
+    titles = ("I_x", "I_y", "I_x / I_y", f"depth / m, NMAE {nmae:.2%}")
     for place, values, title, (low, high), colour in zip(places, shown, titles, limits, colours, strict=True):
         drawn = place.imshow(values, origin="lower", vmin=low, vmax=high, cmap=colour)
         place.set(title=title, xticks=[], yticks=[])
@@ -210,7 +241,7 @@ def scene(places: np.ndarray, run: Path) -> None:
 
 
 def others(places: np.ndarray, runs: Path, names: list[str]) -> None:
-    """Image and depth of the other scenes."""
+    """Image and depth of the other scenes, with the error of those whose run has a summary."""
     for place, at, name in zip(places[::2], places[1::2], names, strict=True):
         with h5py.File(runs / name / "decoded.h5") as file:
             # The image is upside down.
@@ -218,8 +249,10 @@ def others(places: np.ndarray, runs: Path, names: list[str]) -> None:
         place.imshow(light, origin="lower", vmin=0.0, vmax=np.nanpercentile(light, 99.8), cmap="gray")
         drawn = at.imshow(depth_m, origin="lower", cmap="viridis")
         plt.colorbar(drawn, ax=at, shrink=0.6)
+        summary = runs / name / "summary.json"
+        error = f", NMAE {_json(summary)['decode']['nmae']:.2%}" if summary.is_file() else ""
         place.set(title=f"{OTHERS[name]}: I_x", xticks=[], yticks=[])
-        at.set(title="depth / m", xticks=[], yticks=[])
+        at.set(title=f"depth / m{error}", xticks=[], yticks=[])
 
 
 def _json(path: Path) -> dict[str, Any]:
