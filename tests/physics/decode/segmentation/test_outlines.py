@@ -52,7 +52,9 @@ def test_outlines_are_where_they_are(psf: Psf, frames: list[RawFrame]) -> None:
         assert decoder is not None
         shares.append(wrong_share(decoder, frames))
     modelled, refined, ragged = shares
-    # Measured: 1.4, 2.2 and 2.8 %.
-    assert modelled < 0.014
-    assert refined < 0.024
+    # Means of 16 draws: 1.42, 1.78 and 2.23 %. Of one draw the deviations are 0.15, 0.29 and 0.48 %, of four half of
+    # that: the limits are three of these away.
+    assert modelled < 0.0165
+    assert refined < 0.0225
+    assert modelled < 0.95 * refined
     assert refined < 0.85 * ragged

@@ -38,11 +38,12 @@ def test_a_small_object_of_another_contrast_is_found(contrast: float) -> None:
     thing = SceneObject(depth_m=0.0027, size=(0.04, 0.04), polarisation_contrast=contrast)
     image, frame = decoded(thing)
     errors, wall = errors_of(image, frame, 2), errors_of(image, frame, 1)
-    small = min(image.segments, key=lambda one: one.depth_m)
+    small, large = (pick(image.segments, key=lambda one: one.depth_m) for pick in (min, max))
     assert np.isfinite(errors).mean() > 0.5
-    # Measured: 5.7 and 1.3 % off, 3.4 and 2.4 % stated.
+    # Measured over six draws each: 2.1 % off at most, 1.7 to 3.2 % stated.
     assert abs(np.nanmedian(errors)) < min(3.0 * small.error_m / small.depth_m, 0.1)
-    assert abs(np.nanmedian(wall)) < 0.002
+    # Measured: rms of twelve draws 0.13 %, stated 0.10 %.
+    assert abs(np.nanmedian(wall)) < 3.0 * large.error_m / large.depth_m < 0.004
     assert np.isfinite(wall).mean() > 0.95
 
 
