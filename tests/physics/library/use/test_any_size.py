@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metafab.cell import PillarCell
+from metafab.cell import PillarCell, curved
 from metafab.core.errors import InputError
 from metafab.library import Library
 from metafab.library.use import any_size
@@ -68,3 +68,17 @@ def test_sloped_circles_state_the_error_that_they_have() -> None:
         tasks = [(upright, 8)]
         found = any_size.solved_amplitudes(tasks)
         assert any_size.solver_error(tasks, found) == any_size.SOLVER_ERROR
+
+
+def test_rings_beside_a_resonance_state_the_error_that_they_have() -> None:
+    """Order 5 of the second ring is off by 0.1 (order 6), of its neighbours by less than 1e-3."""
+    ring = PillarCell(
+        (760.0, 760.0), 560.0, 560.0, 730.0, 3.5 + 0j, (1.45 + 0j,) * 2, 1.0 + 0j, 1310.0, shape="ring", hole_nm=40.0
+    )
+    tasks = [(replace(ring, width_nm=size, length_nm=size), 8) for size in (560.0, 620.0)]
+    amplitudes = any_size.solved_amplitudes(tasks)
+    finer = curved.zero_order(tasks[1][0], 6)
+    off = np.abs(np.diagonal(finer.t) - amplitudes[1]).max()
+    assert off > 0.1
+    assert any_size.solver_error(tasks, amplitudes) > 2.0 * off
+    assert any_size.solver_error(tasks[:1], amplitudes[:1]) == any_size.SOLVER_ERROR
