@@ -80,7 +80,8 @@ def starting_cell(
         hole_nm, wall_nm = (_ROUND_NM * max(1, round(share * period_nm / _ROUND_NM)) for share in (_HOLE, _WALL))
         low_nm = hole_nm + 2.0 * wall_nm
         hole = f"\ninner_diameter_nm = {hole_nm:.1f}"
-    step_nm = next(step for step in (10.0, 5.0, 2.0, 1.0) if (high_nm - low_nm) / step >= _FEWEST_STEPS[shape] or step == 1.0)
+    span_nm, fewest = high_nm - low_nm, _FEWEST_STEPS[shape]
+    step_nm = next(step for step in (10.0, 5.0, 2.0, 1.0) if span_nm / step >= fewest or step == 1.0)
     return f"""# Pillars of {pillar} on {ground} at {wavelength_nm:g} nm, by the rules of thumb of
 # `metafab new`; change what your process says. Periods below {wavelength_nm / n_substrate:.0f} nm keep all light in the
 # zero order of the substrate.
