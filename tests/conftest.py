@@ -113,6 +113,6 @@ class MainJob:
 def main_job(tmp_path_factory: pytest.TempPathFactory) -> MainJob:
     """``metafab run layouts/helix_small.toml --json``, once."""
     folder = tmp_path_factory.mktemp("runs") / "helix_small"
-    answer = metafab("run", SMALL, "-o", folder, "--json")
+    answer = metafab("run", SMALL, "-o", folder, "--json", fresh=True)
     assert answer.code == 0, answer.stderr
     return MainJob(folder, answer)

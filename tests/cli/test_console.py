@@ -235,3 +235,16 @@ def test_a_second_run_without_json_names_the_report(main_job: MainJob, tmp_path:
     lines = answer.stdout.splitlines()
     assert len(lines) <= 16
     assert lines[-1].split()[-1] == str(folder / "report.html")
+
+
+def test_a_forked_command_answers_as_one_that_imports_for_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit code, both streams, folder and environment: most tests call the command line by a fork of a warm process."""
+    (tmp_path / "broken.toml").write_text("name = 3\n", encoding="utf-8")
+    for debug in ("0", "1"):
+        monkeypatch.setenv("METAFAB_DEBUG", debug)
+        warm, fresh = (metafab("layout", "broken.toml", cwd=tmp_path, fresh=fresh) for fresh in (False, True))
+        assert warm.code == fresh.code == 2
+        assert (warm.stdout, warm.stderr.splitlines()[-1]) == (fresh.stdout, fresh.stderr.splitlines()[-1])
+        assert ("Traceback" in warm.stderr) == ("Traceback" in fresh.stderr) == (debug == "1")
