@@ -172,17 +172,17 @@ def scale_bar(axes: Axes, extent_um: Extent, colour: str = "#ffffff") -> None:
     left, right, low, high = extent_um
     width, height = right - left, high - low
     length = max(step * 10.0**power for power in range(-2, 5) for step in (1, 2, 5) if step * 10.0**power < width / 5)
-    x, y = left + 0.05 * width, low + 0.06 * height
+    x, y = left + 0.05 * width, low + 0.08 * height
     axes.plot([x, x + length], [y, y], color=colour, linewidth=2.4, solid_capstyle="butt")
     text = f"{length:g} µm" if length < 1000 else f"{length / 1000:g} mm"
     shade = {"facecolor": "#000000", "alpha": 0.35, "edgecolor": "none", "pad": 1.2}
     axes.text(
         x,
-        y + 0.025 * height,
+        y - 0.02 * height,
         text,
         color=colour,
         fontsize=8.5,
-        va="bottom",
+        va="top",  # Below the bar: a round lens leaves more room there.
         bbox=shade if colour == "#ffffff" else None,
     )
 

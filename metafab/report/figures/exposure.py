@@ -61,7 +61,9 @@ def size_histogram(parts: Mapping[str, SizeErrors], axes: Axes) -> Axes:
     logarithmic(axes, "y")
     if ends_nm:
         axes.set_xlim(min(ends_nm) - 0.1, max(ends_nm) + 0.1)
-    axes.set_ylim(top=1000.0)
+    low = axes.get_ylim()[0]
+    axes.set_yticks([tick for tick in axes.get_yticks() if low <= tick <= 100.0])
+    axes.set_ylim(low, 1000.0)  # Room for the legend above 100 %.
     return _finished(axes)
 
 

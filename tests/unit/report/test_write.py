@@ -17,6 +17,8 @@ from metafab.core.errors import InputError
 from metafab.core.parallel.progress import silent
 from metafab.library.library import Library
 from metafab.optics.interpolation import without_depths
+from metafab.report import sections
+from metafab.report.assets import asset
 from metafab.report.draw import draw
 from metafab.report.run_folder import AperturePhases, DesignOutline, RunFolder
 from metafab.report.style import CSS_VARIABLES
@@ -213,3 +215,11 @@ def test_a_maximum_on_the_image_point_has_no_direction() -> None:
     centred[:, :, centred.shape[2] // 2, centred.shape[3] // 2] = 1.0
     assert psf_view(replace(turning, psf=centred), None)["views"][0]["phi_deg"] == [None] * turning.depth_m.size
     assert None not in psf_view(turning, None)["views"][0]["phi_deg"]
+
+
+def test_each_link_of_the_page_names_a_section() -> None:
+    """The page's script removes links without their section: a wrong name would never show."""
+    linked = set(re.findall(r'<a href="#([a-z]+)"', asset("page.html")))
+    source = "".join(path.read_text(encoding="utf-8") for path in Path(sections.__file__).parent.glob("*.py"))
+    made = set(re.findall(r'html\.section\(\s*"([a-z]+)"', source))
+    assert linked == made
