@@ -45,7 +45,7 @@ _STEADY_WEIGHT = 16.0
 #: Measured on 28 rows of a lens, light along: amplitude of the wanted order off by 0.0041 with 1, 0.0033 with 8 and
 #: 0.0026 with 30 (rms), while rows of random sizes are off by 0.12, 0.13 and 0.15.
 _STRONGEST_WEIGHT = 8.0
-#: Sites of a row of weight 1. Longer rows hold more light waves and count in proportion.
+#: Sites of a row of weight 1. Longer rows hold more orders and count in proportion.
 _SITES = 7.0
 #: One row in so many is held out of the fit.
 _HELD_OUT = 6
