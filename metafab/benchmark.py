@@ -40,7 +40,7 @@ ROOMS = (
 ROOM_OPTIONS = {
     "scenes": ("only", "seeds"),
     "expose": ("only",),
-    "certificates": ("seed", "samples"),
+    "certificates": ("seed", "samples", "only"),
     "files": ("seed", "samples"),
     "films": ("samples",),
     "faults": ("seed", "samples"),

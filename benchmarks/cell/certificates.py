@@ -38,6 +38,7 @@ from metafab.cell.rcwa.cost import seconds_of_truncation
 from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.cell.rcwa.slicing import smooth
 from metafab.core.conventions import Side
+from metafab.core.errors import InputError
 from metafab.core.storage.provenance import sources_sha256
 
 #: Truncations by (cosines or polynomial order, steps).
@@ -59,7 +60,8 @@ KINDS = {
     "rounded corners": 0.01,
     "sloped walls": 0.01,
     "birefringent substrate": 0.03,
-    "shapes at an angle": 0.03,
+    "shapes at an angle": 0.02,
+    "ring": 0.01,
 }
 #: Rungs of the references by cosines, and those of spectral elements by polynomial order.
 _RUNGS, _ELEMENT_RUNGS = (6, 7, 8, 9, 10, 12, 14, 16, 18), (5, 6, 7, 8, 9)
@@ -71,8 +73,9 @@ _DEEP, _DEEP_TIME = 16, 5.0
 _STAGGERED = 2.0
 #: Largest polynomial order of answers; deep ones go one higher.
 _ELEMENT_ORDER = 5
-#: Largest cosines of answers with sloped walls, and the factor of the time that their references may take.
-_SLOPED_ORDERS, _SLOPED = 8, 20.0
+#: Largest cosines of answers with sloped walls, and the factor of the time that their references may take, as those of
+#: light at an angle, which leaves few mirror planes or none.
+_SLOPED_ORDERS, _SLOW = 8, 20.0
 #: Largest error of a reference over the stated one: wanted, and accepted.
 _FINE, _COARSE = 0.2, 1.0 / 3.0
 #: Largest ratio of two truncations by which a power law is judged.
@@ -109,30 +112,42 @@ class Case:
         return self.true - self.reference_error > self.stated
 
 
-def rows(quick: bool, seed: int = 0, samples: int | None = None) -> list[dict[str, Any]]:
-    """A row of all answers, and one for each kind of cell and each target."""
-    cases = list(audit(seed, samples or (20 if quick else 300)))
+def rows(
+    quick: bool, seed: int = 0, samples: int | None = None, only: Sequence[str] = tuple(KINDS)
+) -> list[dict[str, Any]]:
+    """A row of all answers, and one for each kind of cell and each target.
+
+    Without ``only``, kinds have their shares of :data:`KINDS`; else equal shares of those named.
+    """
+    for name in only:
+        if name not in KINDS:
+            raise InputError.single("benchmark", "--only", f"one of {', '.join(KINDS)}", repr(name))
+    cases = list(audit(seed, samples or (20 if quick else 300), () if len(only) == len(KINDS) else tuple(only)))
     groups = {kind: [case for case in cases if case.kind == kind] for kind in KINDS}
     groups |= {f"target {target:g}": [case for case in cases if case.target_error == target] for target in TARGETS}
     table = [_row("all answers", cases), *(_row(name, group) for name, group in groups.items() if group)]
     worst = max((case for case in cases if case.judged), key=lambda case: case.ratio, default=None)
     if worst is not None:
-        table[0] |= {"worst_cell": repr(draw(seed, worst.number)[1]), "worst_target": worst.target_error}
+        worst_cell = draw(seed, worst.number, worst.kind)[1]
+        table[0] |= {"worst_cell": repr(worst_cell), "worst_target": worst.target_error}
     return table
 
 
-def audit(seed: int, samples: int) -> Iterator[Case]:
+def audit(seed: int, samples: int, only: tuple[str, ...] = ()) -> Iterator[Case]:
     """Draw cells, and solve each to every target; ``samples`` is the number of answers.
+
+    ``only`` names the kinds, one cell of each in turn; all by their shares if it is empty.
 
     Answers that are kept are taken from there.
     """
     code = sha256(sources_sha256(("metafab.cell",), ("cell",)).encode() + Path(__file__).read_bytes())
-    file = KEPT / f"seed_{seed}_{code.hexdigest()[:12]}.jsonl"
+    named = "_".join(kind.replace(", ", " ").replace(" ", "-") for kind in only)
+    file = KEPT / f"seed_{seed}{named and '_' + named}_{code.hexdigest()[:12]}.jsonl"
     file.parent.mkdir(parents=True, exist_ok=True)
     kept = dict(_kept(file))
     for number in range(-(-samples // len(TARGETS))):
         if number not in kept:
-            kept[number] = list(judge(seed, number))
+            kept[number] = list(judge(seed, number, only[number % len(only)] if only else None))
             with file.open("a", encoding="utf-8") as stream:
                 # The line break comes first: a line that was cut short spoils none behind it.
                 stream.write("\n" + json.dumps([vars(case) for case in kept[number]]))
@@ -149,9 +164,9 @@ def _kept(file: Path) -> Iterator[tuple[int, list[Case]]]:
         yield cases[0].number, cases
 
 
-def judge(seed: int, number: int) -> Iterator[Case]:
+def judge(seed: int, number: int, kind: str | None = None) -> Iterator[Case]:
     """Solve a cell to every target, and compare each answer with a finer truncation."""
-    (kind, cell), deep = draw(seed, number), number % _DEEP == 0
+    (kind, cell), deep = draw(seed, number, kind), number % _DEEP == 0
     known: Truncations = {}
     for target_error in TARGETS:
         start = time.thread_time()
@@ -179,7 +194,8 @@ def _references(
     if by_elements:
         rungs = [rung for rung in _ELEMENT_RUNGS if truncation < rung <= _finest_answer(cell, deep=deep) + 2]
     else:
-        most_s = _REFERENCE_S * (_SLOPED if cell.is_sloped else 1.0) * (_DEEP_TIME if deep else 1.0)
+        is_slow = cell.is_sloped or cell.angle_deg > 0.0
+        most_s = _REFERENCE_S * (_SLOW if is_slow else 1.0) * (_DEEP_TIME if deep else 1.0)
         least = truncation + (1 if cell.is_sloped else 2)
         rungs = [rung for rung in _RUNGS if rung >= least and _seconds(rung, cell) <= most_s]
 
@@ -207,10 +223,11 @@ def _finest_answer(cell: PillarCell, *, deep: bool) -> int:
     return max((rung for rung in _RUNGS if _seconds(rung, cell) <= most_s), default=_RUNGS[0])
 
 
-def draw(seed: int, number: int) -> tuple[str, PillarCell]:
-    """Draw the kind of a cell, and the cell."""
+def draw(seed: int, number: int, kind: str | None = None) -> tuple[str, PillarCell]:
+    """Draw the kind of a cell, if it is not given, and the cell."""
     rng = np.random.default_rng((seed, number))
-    kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    drawn = str(rng.choice(list(KINDS), p=list(KINDS.values())))
+    kind = kind or drawn
     x_nm, y_nm = (float(period) for period in rng.uniform(200.0, 600.0, 2))
     if rng.random() < 0.6:
         y_nm = x_nm
@@ -257,6 +274,11 @@ def _varied(kind: str, cell: PillarCell, rng: np.random.Generator) -> PillarCell
         length_nm = min(cell.length_nm, 0.95 * y_nm)
         period_nm = (cell.period_nm[0], y_nm)
         return replace(cell, shape="ellipse", is_staggered=is_staggered, period_nm=period_nm, length_nm=length_nm)
+    if kind == "ring":
+        round_cell = _varied("ellipse", replace(cell, length_nm=cell.width_nm), rng)
+        outer_nm = min(round_cell.width_nm, round_cell.length_nm)
+        hole_nm = outer_nm * float(rng.uniform(0.05, 0.95))
+        return replace(round_cell, shape="ring", width_nm=outer_nm, length_nm=outer_nm, hole_nm=hole_nm)
     if kind == "cross":
         most = 0.95 * min(cell.period_nm)
         return replace(cell, shape="cross", width_nm=min(cell.width_nm, most), length_nm=min(cell.length_nm, most))

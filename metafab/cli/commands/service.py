@@ -30,7 +30,11 @@ def benchmark_command(
     quick: Annotated[bool, typer.Option("--quick", help="Run fewer and smaller cases.")] = False,
     only: Annotated[
         list[str] | None,
-        typer.Option("--only", metavar="NAME", help="Case of `scenes` or part of `expose`; may be repeated."),
+        typer.Option(
+            "--only",
+            metavar="NAME",
+            help="Case of `scenes`, part of `expose` or kind of `certificates`; may be repeated.",
+        ),
     ] = None,
     seeds: Annotated[
         int | None, typer.Option("--seeds", min=1, metavar="N", help="Seeds of each case of `scenes` [default: 5].")

@@ -34,7 +34,7 @@ def test_cells_of_all_kinds_are_drawn_and_physical() -> None:
     assert {kind for kind, _ in drawn} == set(KINDS)
     assert sum(KINDS.values()) == pytest.approx(1.0)
     cells = [cell for _, cell in drawn]
-    assert {cell.shape for cell in cells} == {"rectangle", "ellipse", "cross"}
+    assert {cell.shape for cell in cells} == {"rectangle", "ellipse", "cross", "ring"}
     assert {cell.side for cell in cells} == {"substrate", "ambient"}
     assert any(cell.height_nm > cell.wavelength_nm for cell in cells)
     assert any(cell.is_sloped for cell in cells) and any(cell.under and not cell.over for cell in cells)
@@ -61,8 +61,21 @@ def test_answers_are_kept_by_seed_and_number(monkeypatch: pytest.MonkeyPatch) ->
     assert list(audit(3, 2)) == first[:2]
 
 
+def test_kinds_are_chosen_by_name_and_kept_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(certificates, "judge", lambda seed, number, kind: [replace(CASE, number=number, kind=kind)] * 3)
+    chosen = audit(3, 9, ("ring", "light at an angle"))
+    assert [case.kind for case in chosen][::3] == ["ring", "light at an angle", "ring"]
+    assert {case.kind for case in audit(3, 3, ("cross",))} == {"cross"}
+    assert len(list(certificates.KEPT.iterdir())) == 2
+    monkeypatch.undo()
+    for number in range(40):
+        check(draw(3, number, "ring")[1])
+    with pytest.raises(InputError, match=r"one of rectangle, .*got 'rings'"):
+        certificates.rows(quick=True, only=["rings"])
+
+
 def test_a_kept_line_that_was_cut_short_is_solved_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(certificates, "judge", lambda seed, number: [replace(CASE, number=number)] * 3)
+    monkeypatch.setattr(certificates, "judge", lambda seed, number, kind: [replace(CASE, number=number)] * 3)
     assert len(list(audit(3, 6))) == 6
     (kept,) = certificates.KEPT.iterdir()
     kept.write_text(kept.read_text()[:-9])
@@ -71,7 +84,7 @@ def test_a_kept_line_that_was_cut_short_is_solved_again(monkeypatch: pytest.Monk
 
 
 def test_targets_share_truncations_and_the_reference_is_finer(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(certificates, "draw", lambda seed, number: ("rectangle", SILICON))
+    monkeypatch.setattr(certificates, "draw", lambda *_: ("rectangle", SILICON))
     alone = [solve(SILICON, CellNumerics(target)) for target in TARGETS]
     cases = list(certificates.judge(0, 16))
     assert [case.stated for case in cases] == [answer.error for answer in alone]
