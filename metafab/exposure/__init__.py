@@ -5,6 +5,7 @@
 - ``printing``   printed edges by the threshold model
 - ``sums``       compiled loops over pillars
 - ``prediction``  printed sizes of all pillars: statistics, map, process window
+- ``beside_lens``  what a mask holds beside a lens: other copies, frame, text, test structures
 - ``shape``      sizes to draw at one dose
 - ``etch``       sizes after the etch: bias and microloading
 - ``expose``     :func:`expose`: printed sizes, corrected doses, dose classes
@@ -18,6 +19,7 @@ Energies are relative to that of a large pad at the base dose, or to the clearin
 
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.electrons.process import beam_psf, exposure_process
+from metafab.exposure.energy.beside import Beside, OtherLens
 from metafab.exposure.energy.resist import ResistEnergy
 from metafab.exposure.expose import Exposure, ExposureFigures, ExposureNumerics, SampledPillar, expose
 from metafab.exposure.record import ExposureRecord, SizeErrors, load_record, save_record
@@ -26,10 +28,12 @@ from metafab.spec.mask import BeamTerm
 __all__ = [
     "BeamPsf",
     "BeamTerm",
+    "Beside",
     "Exposure",
     "ExposureFigures",
     "ExposureNumerics",
     "ExposureRecord",
+    "OtherLens",
     "ResistEnergy",
     "SampledPillar",
     "SizeErrors",

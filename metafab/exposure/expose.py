@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,6 +15,7 @@ from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
 from metafab.exposure.electrons.beam import BeamPsf
+from metafab.exposure.energy.beside import Beside
 from metafab.exposure.energy.resist import ResistEnergy, TileEnergy
 from metafab.exposure.prediction import (
     BIN_NM,
@@ -125,6 +126,7 @@ def expose(
     psf: BeamPsf,
     *,
     outline: Outline = RECTANGLE,
+    beside: Beside | None = None,
     base_over_clearing_dose: float | None = None,
     lens_dose: float = 1.0,
     correction: Correction = "none",
@@ -137,8 +139,9 @@ def expose(
         pillars: drawn pillars, upright.
         psf: point-spread function of the beam.
         outline: outline of the drawn pillars, any but a cross or a ring.
+        beside: what is exposed with the lens. Other lenses receive its corrected doses and shapes too.
         base_over_clearing_dose: base dose over the clearing dose of a large pad; None for the dose at which printed
-            sizes equal drawn ones in the mean without correction ("dose to size").
+            sizes equal drawn ones in the mean without correction ("dose to size"), of the lens alone.
         lens_dose: dose of the whole lens relative to the base dose, on top of that of each pillar.
         correction: "dose" finds a dose for each pillar so that it prints at size; "shape" finds sizes to draw at one
             dose.
@@ -155,6 +158,7 @@ def expose(
         ratio = (
             dose_to_size(resist, tables, dose, executor) if base_over_clearing_dose is None else base_over_clearing_dose
         )
+        resist = resist.among(beside)
         process = Printing(resist, tables, ratio, executor)
         if correction == "dose":
             dose, rounds = _corrected(process, dose, work.progress)
@@ -162,10 +166,12 @@ def expose(
                 dose_class, class_dose = _quantised(resist, dose, numerics.classes)
                 dose = class_dose.astype(np.float32)[dose_class]
         elif correction == "shape":
-            drawn, rounds = corrected_shapes(pillars, psf, outline, ratio, executor, work.progress)
-            process = printing_of(drawn, pillars, psf, outline, ratio, executor)
+            drawn, rounds = corrected_shapes(pillars, psf, outline, beside, ratio, executor, work.progress)
+            process = printing_of(drawn, pillars, psf, outline, beside, ratio, executor)
         if lens_dose != 1.0:
             dose *= np.float32(lens_dose)
+            dosed = process.resist.beside and replace(process.resist.beside, lens_dose=lens_dose)
+            process = replace(process, resist=process.resist.among(dosed))
         places = _random_pillars(resist.size_index, max(numerics.samples, _CORNERS), numerics.seed)
         found = predict(process, dose, places, window_percent=_WINDOW_PERCENT, keep_sizes=numerics.keep_sizes)
     checked, listed, sums = places[:_CHECKED].tolist(), found.listed, found.sums

@@ -34,6 +34,7 @@ from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.work import Work
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.electrons.process import beam_psf, blur_out_of_focus_nm
+from metafab.exposure.energy.beside import Beside
 from metafab.exposure.energy.resist import ResistEnergy, TileEnergy
 from metafab.exposure.etch import local_density
 from metafab.exposure.prediction import inside
@@ -66,6 +67,7 @@ class MeasuredLens:
     dose: FloatArray  #: Shape (n,), dose of the whole lens relative to the base dose.
     size_nm: FloatArray  #: Shape (n, 2), measured width and length.
     focus_um: float = 0.0  #: Focus of the beam.
+    beside: Beside | None = None  #: What is exposed with the lens, for energies per unit dose of it.
 
 
 @dataclass(frozen=True)
@@ -230,16 +232,16 @@ class _Model:
             self._widest_nm = _WIDEST_NM if is_out_of_focus else float(_HIGH[2])
             self._nodes = 0.5 * (self._widest_nm + _LOW[2]) + 0.5 * (self._widest_nm - _LOW[2]) * turn
         place = np.concatenate([lens.place for lens in lenses])
-        patterns, of_lens = _distinct([lens.pillars for lens in lenses])
+        patterns, of_lens = _distinct(lenses)
         pattern = np.repeat(of_lens, [len(lens.dose) for lens in lenses])
         with work.threads() as executor:
 
             def others(part: BeamPsf) -> FloatArray:
                 """Energy of all other pillars at the edges, per unit dose: shape (n, 2)."""
                 values = np.zeros((len(pattern), 2))
-                for number, pillars in enumerate(patterns):
+                for number, lens in enumerate(patterns):
                     rows = np.flatnonzero(pattern == number)
-                    resist = ResistEnergy(pillars, part)
+                    resist = ResistEnergy(lens.pillars, part).among(lens.beside)
                     dose = np.ones(resist.size_index.shape, dtype=np.float32)
                     touched = [block for block in resist.tiles if len(inside(place[rows], *block))]
 
@@ -312,21 +314,23 @@ class _Model:
         return total
 
 
-def _distinct(pillars: Sequence[PillarMap]) -> tuple[list[PillarMap], list[int]]:
-    """Distinct patterns, and the number of that of each lens; copies of a lens share theirs."""
-    patterns: list[PillarMap] = []
+def _distinct(lenses: Sequence[MeasuredLens]) -> tuple[list[MeasuredLens], list[int]]:
+    """Lenses of distinct patterns, and the number of that of each lens; copies alone on the wafer share theirs."""
+    distinct: list[MeasuredLens] = []
     number = []
-    for one in pillars:
-        sizes, index = one.size_dbu, one.to_array()
-        same = (
-            k
-            for k, other in enumerate(patterns)
-            if other is one or (np.array_equal(other.size_dbu, sizes) and np.array_equal(other.to_array(), index))
-        )
-        number.append(next(same, len(patterns)))
-        if number[-1] == len(patterns):
-            patterns.append(one)
-    return patterns, number
+    for lens in lenses:
+        found = (k for k, other in enumerate(distinct) if lens.beside is other.beside and _are_equal(lens, other))
+        number.append(next(found, len(distinct)))
+        if number[-1] == len(distinct):
+            distinct.append(lens)
+    return distinct, number
+
+
+def _are_equal(lens: MeasuredLens, other: MeasuredLens) -> bool:
+    """Whether two lenses have the same pillars."""
+    one, two = lens.pillars, other.pillars
+    same_sizes = np.array_equal(one.size_dbu, two.size_dbu)
+    return one is two or (same_sizes and np.array_equal(one.to_array(), two.to_array()))
 
 
 def _excess_density(lens: MeasuredLens, etch: Etch) -> FloatArray:

@@ -14,7 +14,8 @@ from metafab import mask
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import whole_file
-from metafab.exposure.electrons.process import exposure_process
+from metafab.exposure.beside_lens import beside_lens, copies_in_reach
+from metafab.exposure.electrons.process import beam_psf, exposure_process
 from metafab.exposure.fit import MeasuredLens, Parameter, ProcessFit, fit_process
 from metafab.layout.outlines import Outline
 from metafab.mask.measured import read_measured
@@ -79,18 +80,21 @@ def fitted_process(
     if (doses <= 0.0).any() or (numbers != np.rint(numbers)).any():
         expected = "positive doses, and whole numbers of copies"
         raise InputError.single(str(table), "rows", expected, f"dose {doses.min():g}, copy {numbers.min():g}")
-    lenses = []
+    lenses, range_nm = [], float(beam_psf(start).range_nm.max())
     for number in np.unique(numbers).astype(int).tolist():
-        back = mask.read(mask_file, design, progress=work.progress, copy=number)
+        along = copies_in_reach(design, number, range_nm) if design.mask.copies else ()
+        back = mask.read(mask_file, design, progress=work.progress, copy=number, along=along)
         back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
         lens = design.mask.copies[number - 1] if design.mask.copies else Copy((0.0, 0.0))
+        beside, _ = beside_lens(design, back, number, range_nm)
+        around = beside and beside.per_dose(lens.dose)
         for focus_um in np.unique(focuses[numbers == number]).tolist():
             here = (numbers == number) & (focuses == focus_um)
             rows = measured.part(here)
             sites = rows.sites(back.pillars)
             rows.require_each_once(sites, doses[here])
             exposed = doses[here] * lens.dose, rows.size_nm, lens.focus_um + focus_um
-            lenses.append(MeasuredLens(back.pillars, sites, *exposed))
+            lenses.append(MeasuredLens(back.pillars, sites, *exposed, beside=around))
     fit = fit_process(lenses, start, free, etch, work)
     known = "" if start.source == "assumption" else f"{start.source}; "
     source = f"{known}fit of {', '.join(free)} to {fit.sizes} sizes of {table.name} at {fit.doses} doses"

@@ -13,6 +13,7 @@ import numpy as np
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.parallel.progress import Progress
 from metafab.exposure.electrons.beam import BeamPsf
+from metafab.exposure.energy.beside import Beside
 from metafab.exposure.energy.resist import ResistEnergy
 from metafab.exposure.prediction import Printing, predict
 from metafab.exposure.printing import EdgeTables
@@ -34,11 +35,15 @@ def printing_of(
     wanted: PillarMap,
     psf: BeamPsf,
     outline: Outline,
+    beside: Beside | None,
     base_over_clearing_dose: float,
     executor: Executor,
 ) -> Printing:
-    """Return the process of drawn pillars that should print as other sizes at the sites of the same lattice."""
-    resist = ResistEnergy(drawn, psf, outline)
+    """Return the process of drawn pillars that should print as other sizes at the sites of the same lattice.
+
+    The lenses of ``beside`` are drawn like this one.
+    """
+    resist = ResistEnergy(drawn, psf, outline).among(beside and beside.with_pillars(drawn))
     difference = np.zeros((2, *resist.size_index.shape), dtype=np.float32)
     wanted_nm, wanted_index = wanted.size_nm().astype(np.float32), wanted.to_array()
     drawn_nm = resist.size_nm.astype(np.float32)
@@ -53,6 +58,7 @@ def corrected_shapes(
     wanted: PillarMap,
     psf: BeamPsf,
     outline: Outline,
+    beside: Beside | None,
     base_over_clearing_dose: float,
     executor: Executor,
     progress: Progress,
@@ -64,7 +70,7 @@ def corrected_shapes(
     dose = np.ones(wanted.lattice.shape, dtype=np.float32)
     drawn = wanted
     for number in range(1, _MOST_ROUNDS + 1):
-        process = printing_of(drawn, wanted, psf, outline, base_over_clearing_dose, executor)
+        process = printing_of(drawn, wanted, psf, outline, beside, base_over_clearing_dose, executor)
         found = predict(process, dose, _NO_PLACES, keep_sizes=True).printed_less_drawn_nm
         assert process.wanted_less_drawn_nm is not None
         assert found is not None

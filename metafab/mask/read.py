@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
@@ -60,6 +60,7 @@ class ReadBack:
     other_layers: dict[str, int]  #: Number of shapes and texts on other layers, by "layer/datatype".
     top_cells: tuple[str, ...]  #: Names of the cells that no other cell places.
     database_unit_nm: float  #: Unit of the file.
+    copies: dict[int, PillarMap]  #: Pillars of the other copies that were asked for, by number from 1.
 
     def require_pillars_alone(self, remedy: str) -> None:
         """Refuse a file whose pillar layer holds anything else than pillars at sites of the lattice.
@@ -80,26 +81,32 @@ class ReadBack:
 
 
 def read(
-    path: Path, design: Design, progress: Progress = silent, copy: int = 1, known: KnownShapes | None = None
+    path: Path,
+    design: Design,
+    progress: Progress = silent,
+    copy: int = 1,
+    known: KnownShapes | None = None,
+    along: Collection[int] = (),
 ) -> ReadBack:
     """Read the pillars of ``design`` from a GDSII or OASIS file, recognised by its first bytes.
 
     The file may be metafab's own or have been through other software: flat or hierarchical, with arrays and
     repetitions, mirrored or turned by right angles, renamed, in other units.
 
-    ``copy`` is a lens of ``mask.copies``, counted from 1; rectangles of the others are counted, not placed. ``known``
-    recognises pillars among shapes; by default those of the design's cross-section, upright. ``progress`` gets the
-    number of indexed bytes and of read shapes.
+    ``copy`` is a lens of ``mask.copies``, counted from 1; rectangles of the others are counted, and placed where
+    ``along`` has their number. ``known`` recognises pillars among shapes; by default those of the design's
+    cross-section, upright. ``progress`` gets the number of indexed bytes and of read shapes.
 
     InputError if the file is missing, empty, truncated, damaged or of another kind, or holds far more shapes than the
-    design has sites; or the design has no such copy.
+    design has sites; or the design has no such copy; or rectangles of a copy in ``along`` are not at its sites.
     """
     known = known or KnownShapes(Outline.of(design))
     with limited(**design.stated_limits):
         try:
-            return _recover(path, _open(path, design, progress, known, skip_blocks=True), design, progress, copy)
+            return _recover(path, _open(path, design, progress, known, skip_blocks=True), design, progress, copy, along)
         except MixedBlockError:
-            return _recover(path, _open(path, design, progress, known, skip_blocks=False), design, progress, copy)
+            reader = _open(path, design, progress, known, skip_blocks=False)
+            return _recover(path, reader, design, progress, copy, along)
 
 
 @dataclass(frozen=True)
@@ -138,7 +145,14 @@ def _open(
     return OasisReader(path, layer, progress, known=known, skip_blocks=skip_blocks, budget=budget)
 
 
-def _recover(path: Path, reader: GdsiiReader | OasisReader, design: Design, progress: Progress, copy: int) -> ReadBack:
+def _recover(
+    path: Path,
+    reader: GdsiiReader | OasisReader,
+    design: Design,
+    progress: Progress,
+    copy: int,
+    along: Collection[int],
+) -> ReadBack:
     """Put the shapes of all cells at their sites."""
     lattice, place, unit_nm = lattice_of(design), lens_copy(design, copy), reader.unit_nm
     ratio = Fraction(unit_nm / design.mask.database_unit_nm).limit_denominator(1_000_000)
@@ -152,26 +166,39 @@ def _recover(path: Path, reader: GdsiiReader | OasisReader, design: Design, prog
     total = hierarchy.count()
     most = _most_shapes(design)
     _refuse_many(path, total, most)
-    recovery = Recovery(lattice, ratio, str(path), (place.x_dbu, place.y_dbu))
+    recovery, *further = (
+        Recovery(lattice, ratio, str(path), (place.x_dbu, place.y_dbu))
+        for place in (place, *(lens_copy(design, number) for number in along))
+    )
+    recoveries = dict(zip(along, further, strict=True))
     foreign: Counter[str] = Counter()
     boxes: dict[str, list[IntArray]] = {}
     done = 0
     crosses = design.unit_cell.cell.shape == "cross"
     for chunk in _chunks(hierarchy):
         pillars = _wide_crosses(chunk.rectangles) if crosses else chunk.rectangles
-        recovery.add(others.without(pillars, chunk.shift), chunk.shift)
+        own, of_copies = others.apart(pillars, chunk.shift)
+        recovery.add(own, chunk.shift)
+        for number in recoveries.keys() & of_copies.keys():
+            recoveries[number].add(of_copies[number], chunk.shift)
         for other in chunk.others:
             _add_foreign(other, foreign, boxes)
         done += len(chunk.rectangles)
         _refuse_many(path, done, most)  # The total was an estimate where blocks were skipped.
         progress("reading", min(done, total), total)
     progress("reading", total, total)
-    size_dbu = recovery.finish()
 
+    def placed(found: Recovery) -> PillarMap:
+        return PillarMap.from_array(lattice, found.finish(), found.size_index, tile_sites(design))
+
+    for number, found in recoveries.items():
+        if stray := sum(found.leftover(kind, unit_nm).count for kind in (OFF_SITE, OFF_GRID, DUPLICATE)):
+            expected, got = "rectangles at its lattice sites alone", f"{stray} others"
+            raise InputError.single(str(path), f"copy {number}", expected, got, "`metafab drc` lists their places")
     return ReadBack(
         path=path,
         format=format_of(path),
-        pillars=PillarMap.from_array(lattice, size_dbu, recovery.size_index, tile_sites(design)),
+        pillars=placed(recovery),
         at_nm=(place.x_dbu * design.mask.database_unit_nm, place.y_dbu * design.mask.database_unit_nm),
         other_copies=others.counts,
         off_site=recovery.leftover(OFF_SITE, unit_nm),
@@ -184,6 +211,7 @@ def _recover(path: Path, reader: GdsiiReader | OasisReader, design: Design, prog
         other_layers=hierarchy.other_layers(),
         top_cells=hierarchy.tops,
         database_unit_nm=unit_nm,
+        copies={number: placed(found) for number, found in recoveries.items()},
     )
 
 

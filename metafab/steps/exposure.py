@@ -17,6 +17,7 @@ from metafab.steps.library import open_library
 
 if TYPE_CHECKING:
     from metafab.exposure import BeamPsf, Exposure, ExposureFigures, SizeErrors
+    from metafab.exposure.beside_lens import ShapesBeside
     from metafab.exposure.etch import MadePillars
     from metafab.layout import PillarMap
     from metafab.tolerance import CornerField
@@ -32,6 +33,7 @@ class ExposedMask:
     drawn: PillarMap  #: Pillars of the mask, with their bias.
     psf: BeamPsf  #: Point-spread function of the beam.
     exposure: Exposure  #: Printed sizes and doses.
+    beside: tuple[ShapesBeside, ...]  #: What the mask holds beside the lens.
     plain: SizeErrors | None = None  #: Size errors with one dose; None unless ``keep_plain``.
 
 
@@ -98,6 +100,7 @@ def expose_mask(
     holds shapes that are no pillars of the lattice, or pillars have doses of their own, which are not read.
     """
     from metafab import exposure, mask
+    from metafab.exposure.beside_lens import beside_lens, copies_in_reach
     from metafab.exposure.expose import base_dose_to_size
     from metafab.layout.outlines import Outline
 
@@ -112,7 +115,9 @@ def expose_mask(
     lens = design.mask.copies[copy - 1] if 1 <= copy <= len(design.mask.copies) else None
     in_focus, outline = exposure.beam_psf(process), Outline.of(design)
     psf = in_focus if lens is None else exposure.beam_psf(process, lens.focus_um)
-    back = mask.read(path, design, progress=work.progress, copy=copy)
+    range_nm = float(psf.range_nm.max())
+    along = copies_in_reach(design, copy, range_nm) if lens is not None else ()
+    back = mask.read(path, design, progress=work.progress, copy=copy, along=along)
     back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
     if classes := sorted(name for name in back.other_layers if name.split("/")[0] == str(design.mask.layer)):
         more = f" and {len(classes) - 1} more" if len(classes) > 1 else ""
@@ -122,10 +127,17 @@ def expose_mask(
     ratio, plain = process.base_over_clearing_dose, None
     if ratio is None and psf.blur_nm != in_focus.blur_nm:  # All copies share the base dose, that of the best focus.
         ratio = base_dose_to_size(back.pillars, in_focus, outline, work)
+    beside, listed = beside_lens(design, back, copy, range_nm)
     lens_dose = 1.0 if lens is None else lens.dose
     if correct and keep_plain:
         before = exposure.expose(
-            back.pillars, psf, outline=outline, base_over_clearing_dose=ratio, lens_dose=lens_dose, work=work
+            back.pillars,
+            psf,
+            outline=outline,
+            beside=beside,
+            base_over_clearing_dose=ratio,
+            lens_dose=lens_dose,
+            work=work,
         )
         ratio, plain = before.figures.base_over_clearing_dose, exposure.SizeErrors.of(before)
         del before  # its doses are as large as the lens
@@ -133,6 +145,7 @@ def expose_mask(
         back.pillars,
         psf,
         outline=outline,
+        beside=beside,
         base_over_clearing_dose=ratio,
         lens_dose=lens_dose,
         correction=process.correction if correct else "none",
@@ -141,7 +154,7 @@ def expose_mask(
     )
     if keep_plain and not correct:
         plain = exposure.SizeErrors.of(found)
-    return ExposedMask(back.pillars, psf, found, plain)
+    return ExposedMask(back.pillars, psf, found, listed, plain)
 
 
 def save_exposure(exposed: ExposedMask, mask_file: Path, design: Design, path: Path) -> None:

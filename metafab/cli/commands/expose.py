@@ -71,9 +71,12 @@ def expose_command(
     further: dict[str, object] = {"files": sizes} if files else {}
     if folder is not None:
         further["folder"] = str(folder)
+    if ignored := [f"{one.shapes} on {one.name}" for one in exposed.beside if one.dose == "not the design's"]:
+        announce([f"the dose of shapes that the design does not draw is not counted: {', '.join(ignored)}"])
     show(
         result.figures,
         json_,
+        beside=[asdict(one) for one in exposed.beside],
         psf=_described(exposed.psf),
         seconds=cost.seconds,
         peak_rss_mb=cost.peak_rss_mb,
@@ -95,6 +98,7 @@ def _described(psf: BeamPsf) -> dict[str, object]:
         "given": [asdict(term) for term in psf.terms],
         "blur_nm": psf.blur_nm,
         "fit_error": psf.fit_error,
+        "fit_ratio": psf.fit_ratio,
         "terms": gaussians,
     }
 

@@ -7,8 +7,9 @@ Every supported function is a mixture of Gaussians, whose dose on a rectangle is
   between the forward-scattered beam and the backscattered electrons (Hougs et al., arXiv 2506.21236, 2025). With
   s = range^2 / beta^2 it is the integral of s^(exponent / 2 - 1) exp(-s) exp(-r^2 / beta^2) over s, and the trapezoidal
   rule in log s converges exponentially;
-- a table of radial energy density (CASINO, or :mod:`metafab.exposure.electrons.monte_carlo`), fitted by non-negative
-  least squares.
+- a table of radial energy density (CASINO, or :mod:`metafab.exposure.electrons.monte_carlo`), fitted by least squares.
+  Backscattered electrons have a range: their density ends more steeply than any sum of Gaussians of positive weights,
+  so that those of :data:`BACKSCATTER_NM` and more may have negative ones.
 
 A weight is the share of the deposited energy; weights add up to 1. The energy of a large pad at dose 1 is 1.
 """
@@ -33,8 +34,14 @@ BACKSCATTER_NM = 2000.0
 _LOG_STEP = 0.7
 #: Largest range of a Gaussian in a power law (nm): the range of 100 keV electrons in silicon, which ends the law.
 _LARGEST_RANGE_NM = 5e4
-#: Ratio of neighbouring ranges in the fit of a table, and the share of all energy below which a ring counts less.
-_FIT_RATIO, _FIT_FLOOR = 1.5, 1e-4
+#: Ratio of neighbouring ranges in the fit of a table, the share of all energy below which a ring counts less, and empty
+#: rings beyond the table.
+_FIT_RATIO, _FIT_FLOOR, _EMPTY_RINGS = 1.35, 1e-4, 4
+#: Weights of the energy within each radius, of the sum of all weights, and of their smallness, beside that of a ring's
+#: relative error.
+_FIT_WITHIN, _FIT_SUM, _FIT_SMALL = 30.0, 1e3, 0.3
+#: Least share of all energy of the rings whose relative errors are stated.
+_STATED_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -47,6 +54,8 @@ class BeamPsf:
     source: str  #: Reference of the numbers, or "assumption".
     #: Largest difference between the fitted and the tabulated share of energy within any radius; 0 without a table.
     fit_error: float = 0.0
+    #: Least and largest fitted over tabulated energy of rings with at least 1e-3 of all energy; 1 without a table.
+    fit_ratio: tuple[float, float] = (1.0, 1.0)
     blur_nm: float = 0.0  #: Range of the Gaussian that ``terms`` or the table are convolved with in ``range_nm``.
 
     @classmethod
@@ -68,7 +77,8 @@ class BeamPsf:
     def fitted(cls, radius_nm: FloatArray, density: FloatArray, source: str) -> BeamPsf:
         """Fit Gaussians to a radial table of energy per area, any unit, at ascending positive radii: shape (n,) each.
 
-        ``source`` is its reference. InputError for fewer than eight rows, or values out of range.
+        No energy lies beyond the last radius. ``source`` is its reference. InputError for fewer than eight rows, or
+        values out of range.
         """
         sound = (
             radius_nm.size >= 8 and radius_nm[0] > 0.0 and np.all(np.diff(radius_nm) > 0.0) and np.all(density >= 0.0)
@@ -83,13 +93,25 @@ class BeamPsf:
         edges = np.concatenate(
             [[0.0], np.sqrt(radius_nm[1:] * radius_nm[:-1]), [radius_nm[-1] ** 1.5 / radius_nm[-2] ** 0.5]]
         )
-        ring = density * math.pi * np.diff(edges**2)
+        ring = np.append(density * math.pi * np.diff(edges**2), np.zeros(_EMPTY_RINGS))
+        ring /= ring.sum()
+        edges = np.append(edges, edges[-1] * (edges[-1] / edges[-2]) ** np.arange(1, _EMPTY_RINGS + 1))
         gaussians = -np.diff(np.exp(-((edges[:, None] / ranges) ** 2)), axis=0)
-        scale = 1.0 / np.sqrt(np.maximum(ring / ring.sum(), _FIT_FLOOR)) / ring.sum()
-        weight, _ = nnls(gaussians * scale[:, None], ring * scale)
-        used, weight = weight > 0.0, weight / weight.sum()
-        within = np.cumsum(gaussians @ weight) - np.cumsum(ring) / ring.sum()
-        return cls(weight[used], ranges[used], (), source, float(np.abs(within).max()))
+        scale = 1.0 / np.maximum(ring, _FIT_FLOOR)
+        signed = ranges >= BACKSCATTER_NM
+        rows = [gaussians * scale[:, None], _FIT_WITHIN * np.cumsum(gaussians, axis=0), np.full((1, count), _FIT_SUM)]
+        matrix = np.concatenate(rows)
+        matrix = np.concatenate([matrix, -matrix[:, signed]], axis=1)
+        matrix = np.concatenate([matrix, _FIT_SMALL * np.eye(matrix.shape[1])])
+        wanted = np.concatenate([ring * scale, _FIT_WITHIN * np.cumsum(ring), [_FIT_SUM], np.zeros(matrix.shape[1])])
+        parts, _ = nnls(matrix, wanted)
+        weight = parts[:count]
+        weight[signed] -= parts[count:]
+        weight /= weight.sum()
+        fitted, used, stated = gaussians @ weight, weight != 0.0, ring >= _STATED_SHARE
+        ratio = (fitted / np.maximum(ring, _FIT_FLOOR))[stated]
+        within = float(np.abs(np.cumsum(fitted - ring)).max())
+        return cls(weight[used], ranges[used], (), source, within, (float(ratio.min()), float(ratio.max())))
 
     def density(self, radius_nm: FloatArray) -> FloatArray:
         """Energy density per nm^2 at ``radius_nm``, in its shape."""

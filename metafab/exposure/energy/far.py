@@ -99,15 +99,25 @@ class LongRange:
         """
         if psf.range_nm.size == 0:
             return None
-        total = np.zeros_like(block_mass)
+        steps = [BLOCK_SITES * side_nm for side_nm in period_nm[::-1]]
+        reaches = [
+            min(count, math.ceil(REACH * float(psf.range_nm.max()) / step) + 1)
+            for step, count in zip(steps, block_mass.shape, strict=True)
+        ]
+        y_size, x_size = (
+            int(scipy.fft.next_fast_len(count + reach, real=True))
+            for count, reach in zip(block_mass.shape, reaches, strict=True)
+        )
+        kernel = np.zeros((y_size, x_size // 2 + 1))
         for weight, beta in zip(psf.weight, psf.range_nm, strict=True):
-            profile = [
-                _blurred_block(beta, BLOCK_SITES * side_nm, count)
-                for side_nm, count in zip(period_nm[::-1], block_mass.shape, strict=True)
-            ]
-            blurred = _convolved(_convolved(block_mass, profile[0], axis=0), profile[1], axis=1)
-            total += weight * blurred
-        return cls(total)
+            along_y, along_x = (
+                _transformed(_blurred_block(beta, step, reach), size)
+                for step, reach, size in zip(steps, reaches, (y_size, x_size), strict=True)
+            )
+            kernel += weight * along_y[:, None] * along_x[: x_size // 2 + 1]
+        spectrum = scipy.fft.rfft2(block_mass, (y_size, x_size))
+        spectrum *= kernel
+        return cls(scipy.fft.irfft2(spectrum, (y_size, x_size))[: block_mass.shape[0], : block_mass.shape[1]])
 
     def at(self, rows: slice, columns: slice) -> Float32Array:
         """Energy at the sites of a tile, by cubic interpolation: shape (n_y, n_x)."""
@@ -126,25 +136,18 @@ def block_masses(mass: FloatArray) -> FloatArray:
     return np.asarray(blocks.sum(axis=(1, 3), dtype=np.float64))
 
 
-def _blurred_block(beta: float, side: float, count: int) -> FloatArray:
-    """Density of a Gaussian along one axis, averaged over a source block, at distances 0, 1, ... blocks."""
-    reach = min(count, math.ceil(REACH * beta / side) + 1)
+def _blurred_block(beta: float, side: float, reach: int) -> FloatArray:
+    """Density of a Gaussian along one axis, averaged over a source block, at distances 0, 1, ... blocks: (reach,)."""
     distance = np.arange(reach) * side
     return np.asarray((erf((distance + 0.5 * side) / beta) - erf((distance - 0.5 * side) / beta)) / (2.0 * side))
 
 
-def _convolved(values: FloatArray, half: FloatArray, axis: int) -> FloatArray:
-    """Linear convolution along one axis with a symmetric kernel given by its half."""
-    count = values.shape[axis]
-    size = int(scipy.fft.next_fast_len(count + 2 * half.size, real=True))
+def _transformed(half: FloatArray, size: int) -> FloatArray:
+    """Fourier transform of a symmetric kernel given by its half: real, shape (size,)."""
     kernel = np.zeros(size)
     kernel[: half.size] = half
     kernel[size - half.size + 1 :] = half[:0:-1]
-    transform = scipy.fft.rfft(values, size, axis=axis)
-    shape = [1, 1]
-    shape[axis] = -1
-    result = scipy.fft.irfft(transform * scipy.fft.rfft(kernel).reshape(shape), size, axis=axis)
-    return np.asarray(np.take(result, range(count), axis=axis))
+    return np.asarray(scipy.fft.fft(kernel).real)
 
 
 def _cubic_weights(sites: slice, blocks: int) -> tuple[FloatArray, int]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
@@ -16,6 +17,7 @@ from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import in_order, kept_threads, spread
 from metafab.exposure.electrons.beam import BeamPsf
+from metafab.exposure.energy.beside import Beside, BesideEnergy
 from metafab.exposure.energy.far import LONG_PERIODS, LongRange, MiddleRange, block_masses
 from metafab.exposure.energy.near import add_near, near_tables
 from metafab.exposure.energy.shapes import Shapes
@@ -31,6 +33,8 @@ _MIDDLE_PERIODS = 0.3
 #: (rows, columns) of sites whose energy is summed in closed form: all nearer than two distances of neighbours. Columns
 #: of a hexagonal lattice are half of that distance apart.
 _NEAR, _NEAR_HEXAGONAL = (1, 1), (2, 3)
+#: Ranges after which a Gaussian is left out of a direct sum: below 1e-11 of its peak.
+_DIRECT_REACH = 5.0
 
 
 @dataclass(frozen=True)
@@ -46,10 +50,16 @@ class TileEnergy:
 
 
 class ResistEnergy:
-    """Energy in the resist at every pillar of a pattern, for any doses; the outline is no cross and no ring."""
+    """Energy in the resist at every pillar of a pattern, for any doses; the outline is no cross and no ring.
+
+    Attributes:
+        beside: what is exposed with the pattern; None for nothing.
+    """
+
+    beside: Beside | None = None
 
     def __init__(self, pillars: PillarMap, psf: BeamPsf, outline: Outline = RECTANGLE) -> None:
-        lattice = pillars.lattice
+        lattice = self._lattice = pillars.lattice
         self.psf = psf
         self.shapes = Shapes.of(pillars, outline)
         self.size_nm = self.shapes.size_nm
@@ -72,6 +82,12 @@ class ResistEnergy:
         #: Rows and columns of the tiles that hold pillars.
         self.tiles = tuple(block for block in blocks if self.size_index[block].any())
 
+    def among(self, beside: Beside | None) -> ResistEnergy:
+        """The same pattern with everything that is exposed with it."""
+        found = copy(self)
+        found.beside = beside
+        return found
+
     def map_tiles(
         self,
         dose: Float32Array,
@@ -84,10 +100,12 @@ class ResistEnergy:
         Doses, shape (n_y, n_x) of the lattice, are relative to the base dose. ``tiles`` are some of the tiles; all by
         default.
         """
-        long_range = self._long_range(dose, executor)
+        pattern = (self.psf, self._lattice, self.size_nm, dose)
+        further = None if self.beside is None else BesideEnergy(self.beside, *pattern)
+        long_range = self._long_range(dose, executor, further)
 
         def both(block: tuple[slice, slice]) -> tuple[tuple[slice, slice], FloatArray]:
-            return block, work(self._tile(dose, long_range, block))
+            return block, work(self._tile(dose, long_range, further, block))
 
         yield from in_order(executor, both, self.tiles if tiles is None else tiles)
 
@@ -97,18 +115,36 @@ class ResistEnergy:
         Doses have the shape (n_y, n_x) of the lattice and are relative to the base dose. The energy, shape (3,), is
         that at the centre, the mean of the x edges and that of the y edges; the pillar itself included.
         """
-        reach = math.ceil((5.0 * float(self.psf.range_nm.max()) + float(self.size_nm.max())) / min(self.period_nm))
-        top, left = max(0, row - reach), max(0, column - reach)
-        part = (slice(top, row + reach + 1), slice(left, column + reach + 1))
         w, length = self.size_nm[self.size_index[row, column]]
         points = np.array([[0.0, 0.0], [0.5 * w, 0.0], [-0.5 * w, 0.0], [0.0, 0.5 * length], [0.0, -0.5 * length]])
-        points += np.array([column - left, row - top]) * np.asarray(self.period_nm)
-        pattern = (self.size_index[part], dose[part], float(self.size_nm.max()), *self.period_nm)
-        rows = np.zeros((pattern[0].shape[0], len(points)))
-        with kept_threads():
-            spread(_sum_rows, len(rows), *pattern, *self._rectangles, points, rows)
-        energy = rows.sum(axis=0)
+        points += 1e3 * np.array([self._lattice.x_um()[column], self._lattice.y_um()[row]])
+        energy = self._direct(dose, points)
+        if self.beside is not None:
+            reach_nm = _DIRECT_REACH * float(self.psf.range_nm.max())
+            figures = replace(self.beside, lenses=())
+            box_nm = np.concatenate([points.min(axis=0) - reach_nm, points.max(axis=0) + reach_nm])
+            for rectangles, doses in figures.parts(dose, box_nm):
+                energy += _sum_rectangles(rectangles, doses, self.psf.weight, self.psf.range_nm, points)
+            for lens in self.beside.lenses:
+                other = ResistEnergy(lens.pillars, self.psf, self.beside.outline)
+                scale = np.float32(lens.dose / self.beside.lens_dose)
+                energy += scale * other._direct(dose, points - np.array(lens.at_nm))
         return np.array([energy[0], energy[1:3].mean(), energy[3:].mean()])
+
+    def _direct(self, dose: Float32Array, points_nm: FloatArray) -> FloatArray:
+        """Energy of the pillars at points near one another, shape (n, 2), from the axis of the lens: shape (n,)."""
+        reach_nm = _DIRECT_REACH * float(self.psf.range_nm.max()) + float(self.size_nm.max())
+        part, first_nm = [], []
+        for axis, at_um in enumerate((self._lattice.x_um(), self._lattice.y_um())):
+            low, high = 1e-3 * (points_nm[:, axis].min() - reach_nm), 1e-3 * (points_nm[:, axis].max() + reach_nm)
+            part.append(slice(*np.searchsorted(at_um, [low, high]).tolist()))
+            first_nm.append(1e3 * at_um[min(part[-1].start, at_um.size - 1)])
+        block = (part[1], part[0])
+        pattern = (self.size_index[block], dose[block], float(self.size_nm.max()), *self.period_nm)
+        rows = np.zeros((pattern[0].shape[0], len(points_nm)))
+        with kept_threads():
+            spread(_sum_rows, len(rows), *pattern, *self._rectangles, points_nm - np.array(first_nm), rows)
+        return np.asarray(rows.sum(axis=0))
 
     @cached_property
     def _rectangles(self) -> tuple[FloatArray, FloatArray]:
@@ -124,7 +160,7 @@ class ResistEnergy:
                 table.append(np.stack([weight * part.share, part.half_width_nm, part.low_nm, part.high_nm], axis=1))
         return np.array(ranges), np.array(table)
 
-    def _long_range(self, dose: Float32Array, executor: Executor) -> LongRange | None:
+    def _long_range(self, dose: Float32Array, executor: Executor, further: BesideEnergy | None) -> LongRange | None:
         if self._long_psf.range_nm.size == 0:
             return None
         rows = range(0, self.size_index.shape[0], TILE_SITES)
@@ -134,9 +170,15 @@ class ResistEnergy:
             return block_masses(np.asarray(self._area[self.size_index[part]] * dose[part], dtype=np.float64))
 
         masses = np.concatenate(list(in_order(executor, band, rows)))
-        return LongRange.of(self._long_psf, masses, self.period_nm)
+        return LongRange.of(self._long_psf, masses, self.period_nm) if further is None else further.long_range(masses)
 
-    def _tile(self, dose: Float32Array, long_range: LongRange | None, block: tuple[slice, slice]) -> TileEnergy:
+    def _tile(
+        self,
+        dose: Float32Array,
+        long_range: LongRange | None,
+        further: BesideEnergy | None,
+        block: tuple[slice, slice],
+    ) -> TileEnergy:
         rows, columns = block
         near = self._near
         margin = self._middle.margin if self._middle is not None else max(near.reach)
@@ -151,6 +193,8 @@ class ResistEnergy:
             energy = self._middle.energy(self._area[index] * doses, spread_x, spread_y, edge)
         if long_range is not None:
             energy += long_range.at(rows, columns)
+        if further is not None:
+            further.add(rows, columns, self.size_index[block], energy)
         inner = tuple(slice(margin - r, n - margin + r) for r, n in zip(near.reach, index.shape, strict=True))
         tables = (near.centre, near.edge_x, near.edge_y, near.width_of, near.length_of)
         add_near(index[inner], doses[inner], *tables, near.reach, energy)
@@ -207,3 +251,24 @@ def _sum_rows(
                     along_y = math.erf((y - low) / beta) - math.erf((y - high) / beta)
                     total += 0.25 * weight * along_x * along_y
                 energy[row, k] += dose[row, column] * total
+
+
+@compiled
+def _sum_rectangles(
+    rectangles: FloatArray, doses: FloatArray, weight: FloatArray, range_nm: FloatArray, points_nm: FloatArray
+) -> FloatArray:
+    """Energy of rectangles (left, bottom, right, top) at ``points_nm`` (n, 2): shape (n,)."""
+    energy = np.zeros(len(points_nm))
+    for number in range(len(rectangles)):
+        left, bottom, right, top = rectangles[number]
+        for k in range(len(points_nm)):
+            x, y = points_nm[k]
+            away = max(left - x, x - right, bottom - y, y - top)
+            for n in range(range_nm.size - 1, -1, -1):
+                beta = range_nm[n]
+                if away > _DIRECT_REACH * beta:
+                    break
+                along_x = math.erf((x - left) / beta) - math.erf((x - right) / beta)
+                along_y = math.erf((y - bottom) / beta) - math.erf((y - top) / beta)
+                energy[k] += 0.25 * doses[number] * weight[n] * along_x * along_y
+    return energy

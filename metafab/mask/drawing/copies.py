@@ -111,14 +111,20 @@ class OtherCopies:
         Rectangles (x, y, width, height), shape (n, 4), are in file units; ``shift``, shape (2,), is to be added to x
         and y.
         """
+        return self.apart(rectangles, shift)[0]
+
+    def apart(self, rectangles: IntArray, shift: IntArray) -> tuple[IntArray, dict[int, IntArray]]:
+        """Divide rectangles as :meth:`without`: those in no other copy, and those of each other copy that has some."""
+        found: dict[int, IntArray] = {}
         if not self._centres or not len(rectangles):
-            return rectangles
+            return rectangles, found
         centre = rectangles[:, :2] + rectangles[:, 2:] / 2.0 + shift
         low, high = centre.min(axis=0), centre.max(axis=0)
         kept = np.ones(len(rectangles), dtype=bool)
         for number, middle in self._centres.items():
             if np.all(low <= middle + self._half) and np.all(high >= middle - self._half):
                 here = np.all(np.abs(centre - middle) <= self._half, axis=1)
-                self.counts[number] += int(np.count_nonzero(here))
+                found[number] = rectangles[here]
+                self.counts[number] += len(found[number])
                 kept &= ~here
-        return rectangles if kept.all() else rectangles[kept]
+        return (rectangles if kept.all() else rectangles[kept]), found

@@ -10,7 +10,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from metafab.spec.cell import SidewallAngle
-from metafab.spec.fields import CONFIG, Checked, NonNegative, Positive, Real
+from metafab.spec.fields import CONFIG, Checked, Index, NonNegative, Positive, Real
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -51,6 +51,9 @@ class ExposureProcess(Checked):
     #: Base dose over the clearing dose of a large pad; without the key that at which printed sizes equal drawn ones in
     #: the mean, in the best focus.
     base_over_clearing_dose: Positive | None = None
+    #: Layers beside that of the pillars which the beam writes with them, at the base dose; without the key all but
+    #: alignment marks, windows and the shapes of the first exposure.
+    with_layers: tuple[Index, ...] | None = None
     #: Whether a correction gives each pillar one of some doses, or changes the drawn sizes, for tools with one dose.
     correction: Literal["dose", "shape"] = "dose"
     classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 64  #: Number of doses that a correction may use.

@@ -162,6 +162,83 @@ def test_samples_agree_with_a_direct_sum_from_outside(folder: Path, tmp_path: Pa
             assert stated + ratio * (at_printed - at_drawn) == pytest.approx(1.0, abs=1e-3)
 
 
+CHIP = """
+[mask.chip]
+margin_um = 30.0
+mark_um = 8.0
+mark_line_um = 1.0
+frame_um = 2.0
+street_um = 10.0
+label = "A"
+text_um = 4.0
+scale_bar_um = 0.0
+[mask.kit]
+cd_bars = [{ at_um = [0.0, 16.5], width_nm = [200.0], length_um = 2.0, spacing_um = 1.0, lines = 3 }]
+[[mask.include]]
+file = "arrow.gds"
+[[mask.copies]]
+at_um = [-9.0, 0.0]
+dose = 0.9
+[[mask.copies]]
+at_um = [8.9, 0.0]
+dose = 1.2
+"""
+
+
+def test_everything_beside_a_lens_is_counted(smooth_library: Library, tmp_path: Path) -> None:
+    """Two lenses 3 um apart with frame, text, bars and an arrow: energies are sums over the polygons of the file.
+
+    Marks are the first exposure's. A shape that the design does not draw is left out, and named.
+    """
+    arrow = gdstk.Library(unit=1e-6, precision=1e-9)
+    arrow.new_cell("arrow").add(gdstk.Polygon([(-9, -9), (-7, -11), (-9, -10), (-11, -11)], layer=40))
+    arrow.write_gds(tmp_path / "arrow.gds")
+    path = design_file(tmp_path / "design.toml", SMALL, PROCESS + CHIP, aperture_um="15.0", formats='["oas"]')
+    design = load_design(path)
+    mask.write(
+        layout.assign(PhaseProfile((OffAxisLens(1000.0, 0.8, 140.0),)), smooth_library, design).pillars,
+        tmp_path,
+        design,
+    )
+    common = ("--design", path, "--json", "--sample", "1000000", "--sample-csv", tmp_path / "s.csv")
+    answer = metafab("expose", tmp_path / "layout.oas", *common, "--copy", "2")
+    assert answer.code == 0, answer.stderr
+    beside = {one["name"]: one["dose"] for one in answer.json["beside"]}
+    assert beside["copy 1"] == beside["11/0 frame"] == beside["40/0 included from arrow.gds"] == "counted"
+    assert beside["10/0 alignment marks"] == "first exposure"
+    drawn = gdstk.read_oas(tmp_path / "layout.oas").top_level()[0].get_polygons()
+    doses, boxes, rest = {(1, 0): 0.9, (1, 1): 1.2}, [], []
+    for polygon in drawn:
+        corners, dose = 1e3 * polygon.points - (8900.0, 0.0), doses.get((polygon.layer, polygon.datatype), 1.0)
+        if polygon.layer == 40:
+            (x, y), (next_x, next_y) = corners.T, np.roll(corners, -1, axis=0).T
+            rest.append(corners if np.sum(x * next_y - next_x * y) > 0.0 else corners[::-1])
+        elif polygon.layer not in (10, 14, 16):
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            boxes.append((*(0.5 * (low + high)), *(high - low), dose))
+    psf, ratio = answer.json["psf"]["terms"], answer.json["base_over_clearing_dose"]
+    beam = exposure.BeamPsf.of([BeamTerm("gauss", term["weight"], term["range_nm"]) for term in psf], "assumption")
+    rows = [{key: float(value) for key, value in row.items()} for row in csv.DictReader((tmp_path / "s.csv").open())]
+    rows.sort(key=lambda row: row["x_um"])
+    for row in (rows[0], rows[-1], max(rows, key=lambda row: row["y_um"])):
+        x, y = 1e3 * row["x_um"], 1e3 * row["y_um"]
+        whole = _direct(psf, np.array(boxes), x, y) + sum(polygon_energy(beam, part - (x, y)) for part in rest)
+        assert row["energy_centre"] == pytest.approx(ratio * whole, abs=answer.json["error"] + 1e-6)
+        assert row["energy_centre"] > ratio * _direct(psf, np.array([b for b in boxes if b[4] == 1.2]), x, y) + 0.01
+    # Another design's frame: the file's is left out, and named.
+    other = design_file(tmp_path / "other.toml", path, "", frame_um="0.0", street_um="0.0")
+    answer = metafab("expose", tmp_path / "layout.oas", "--design", other, "--json", "--copy", "2")
+    assert answer.code == 0
+    assert "4 on 11/0" in answer.stderr
+    marked = design_file(tmp_path / "marked.toml", path, "", preset='"hsq_sos_100kv"\nwith_layers = [10]')
+    answer = metafab("expose", tmp_path / "layout.oas", "--design", marked, "--json", "--copy", "2")
+    assert {one["name"]: one["dose"] for one in answer.json["beside"]}["10/0 alignment marks"] == "counted"
+    unknown = design_file(tmp_path / "unknown.toml", path, "", preset='"hsq_sos_100kv"\nwith_layers = [77]')
+    answer = metafab("expose", tmp_path / "layout.oas", "--design", unknown, "--json", "--copy", "2")
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "process.exposure.with_layers" in answer.stderr
+
+
 def test_measured_sizes_become_a_process_file_that_a_design_uses(folder: Path, tmp_path: Path) -> None:
     """Sizes of the command itself, all 3 nm narrower; height and sidewalls as a microscope would add them.
 
