@@ -145,7 +145,10 @@ class BesideEnergy:
             self._pad, self._blocks = (int(pad[1]), int(pad[0])), masses
 
     def long_range(self, block_mass: FloatArray) -> LongRange | None:
-        """Energy of the long ranges of the lens, with the masses of its blocks (nm^2), and of all beside it."""
+        """Energy of the long ranges of the lens, with the masses of its blocks (nm^2), and of all beside it.
+
+        The masses have the shape (blocks_y, blocks_x).
+        """
         pads = [(pad, pad) for pad in self._pad]
         found = LongRange.of(self._long, np.pad(block_mass, pads) + self._blocks, self._lattice.period_nm)
         assert found is not None

@@ -129,7 +129,7 @@ def strips(corners_nm: FloatArray, step_nm: float) -> FloatArray:
     found = [np.empty((0, 4))]
     for part in np.array_split(np.arange(levels.size - 1), 1 + levels.size * x.size // _CROSSINGS):
         middle = 0.5 * (levels[part] + levels[part + 1])[:, None]
-        strip, side = np.nonzero((np.minimum(y, next_y) < middle) & (np.maximum(y, next_y) > middle))
+        strip, side = np.nonzero((np.minimum(y, next_y) <= middle) & (np.maximum(y, next_y) > middle))
         place = x[side] + (next_x - x)[side] * (middle[strip, 0] - y[side]) / (next_y - y)[side]
         order = np.lexsort((place, strip))
         at, row = place[order].reshape(-1, 2), part[strip[order][::2]]

@@ -114,7 +114,10 @@ class OtherCopies:
         return self.apart(rectangles, shift)[0]
 
     def apart(self, rectangles: IntArray, shift: IntArray) -> tuple[IntArray, dict[int, IntArray]]:
-        """Divide rectangles as :meth:`without`: those in no other copy, and those of each other copy that has some."""
+        """Divide rectangles as :meth:`without`: those in no other copy, and of each other copy.
+
+        Both of shape (m, 4); a copy without rectangles is not listed.
+        """
         found: dict[int, IntArray] = {}
         if not self._centres or not len(rectangles):
             return rectangles, found

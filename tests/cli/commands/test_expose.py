@@ -224,7 +224,7 @@ def test_everything_beside_a_lens_is_counted(smooth_library: Library, tmp_path: 
         x, y = 1e3 * row["x_um"], 1e3 * row["y_um"]
         whole = _direct(psf, np.array(boxes), x, y) + sum(polygon_energy(beam, part - (x, y)) for part in rest)
         assert row["energy_centre"] == pytest.approx(ratio * whole, abs=answer.json["error"] + 1e-6)
-        assert row["energy_centre"] > ratio * _direct(psf, np.array([b for b in boxes if b[4] == 1.2]), x, y) + 0.01
+        assert row["energy_centre"] > ratio * _direct(psf, np.array([b for b in boxes if b[4] == 1.2]), x, y) + 0.005
     # Another design's frame: the file's is left out, and named.
     other = design_file(tmp_path / "other.toml", path, "", frame_um="0.0", street_um="0.0")
     answer = metafab("expose", tmp_path / "layout.oas", "--design", other, "--json", "--copy", "2")
