@@ -18,12 +18,15 @@ import numpy as np
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
 from metafab.exposure.electrons.beam import BeamPsf
-from metafab.exposure.energy.far import LONG_PERIODS, LongRange, block_masses
+from metafab.exposure.energy.far import LongRange, block_masses
 from metafab.exposure.expose import Exposure
 from metafab.layout import PillarMap
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.resized import bands, resized
 from metafab.spec.mask import BeamTerm, Etch
+
+#: Shortest range of the microloading, in periods: three blocks.
+_LEAST_PERIODS = 12.0
 
 
 @dataclass(frozen=True)
@@ -90,9 +93,9 @@ def local_density(pillars: PillarMap, area_nm2: Callable[[slice], FloatArray], e
     InputError for a range below 12 periods.
     """
     lattice, index = pillars.lattice, pillars.to_array()
-    least_nm = LONG_PERIODS * lattice.spacing_nm
+    least_nm = _LEAST_PERIODS * lattice.spacing_nm
     if etch.microloading_range_um * 1e3 < least_nm:
-        expected = f"at least {LONG_PERIODS:g} periods, {least_nm * 1e-3:g} um"
+        expected = f"at least {_LEAST_PERIODS:g} periods, {least_nm * 1e-3:g} um"
         raise InputError.single("process.etch", "microloading_range_um", expected, f"{etch.microloading_range_um:g} um")
     masses = [block_masses(area_nm2(rows)) for rows in bands(index)]
     beam = BeamPsf.of([BeamTerm("gauss", 1.0, etch.microloading_range_um * 1e3)], "")

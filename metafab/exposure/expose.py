@@ -14,6 +14,7 @@ from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
+from metafab.core.storage.tables import optional
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.beside import Beside
 from metafab.exposure.energy.resist import ResistEnergy, TileEnergy
@@ -78,6 +79,15 @@ class SampledPillar:
 
 
 @dataclass(frozen=True)
+class Walls:
+    """Walls of the resist by its contrast, over a sample of the pillars; other sizes are those at half the height."""
+
+    foot_bias_nm: float  #: Mean of printed less wanted size where the height vanishes.
+    top_bias_nm: float  #: Mean of printed less wanted size where the height is whole.
+    low_share: float  #: Share of the pillars whose height is nowhere whole.
+
+
+@dataclass(frozen=True)
 class ExposureFigures:
     """Figures of an exposure."""
 
@@ -99,6 +109,7 @@ class ExposureFigures:
     #: over all pillars in reach, at six random pillars.
     error: float
     rounds: int  #: Rounds of the correction; 0 without one.
+    walls: Walls | None = optional()  #: Foot and top of the resist; None without a contrast.
 
 
 @dataclass(frozen=True)
@@ -128,6 +139,7 @@ def expose(
     outline: Outline = RECTANGLE,
     beside: Beside | None = None,
     base_over_clearing_dose: float | None = None,
+    contrast: float | None = None,
     lens_dose: float = 1.0,
     correction: Correction = "none",
     numerics: ExposureNumerics = ExposureNumerics(),
@@ -142,6 +154,8 @@ def expose(
         beside: what is exposed with the lens. Other lenses receive its corrected doses and shapes too.
         base_over_clearing_dose: base dose over the clearing dose of a large pad; None for the dose at which printed
             sizes equal drawn ones in the mean without correction ("dose to size"), of the lens alone.
+        contrast: contrast of the resist: half the height remains at the clearing energy, and all of it, or none,
+            at a factor of 10^(1 / (2 contrast)) more, or less; None for upright walls.
         lens_dose: dose of the whole lens relative to the base dose, on top of that of each pillar.
         correction: "dose" finds a dose for each pillar so that it prints at size; "shape" finds sizes to draw at one
             dose.
@@ -173,12 +187,16 @@ def expose(
             dosed = process.resist.beside and replace(process.resist.beside, lens_dose=lens_dose)
             process = replace(process, resist=process.resist.among(dosed))
         places = _random_pillars(resist.size_index, max(numerics.samples, _CORNERS), numerics.seed)
-        found = predict(process, dose, places, window_percent=_WINDOW_PERCENT, keep_sizes=numerics.keep_sizes)
+        # Foot and top of the resist print like its middle at more and at less dose.
+        factor = 1.0 if contrast is None else 10.0 ** (0.5 / contrast)
+        percent = (*_WINDOW_PERCENT, 100.0 * (factor - 1.0), 100.0 * (1.0 / factor - 1.0))
+        found = predict(process, dose, places, window_percent=percent, keep_sizes=numerics.keep_sizes)
     checked, listed, sums = places[:_CHECKED].tolist(), found.listed, found.sums
     largest = max(float(np.abs(listed[r, c][:3] - ratio * process.resist.direct(dose, r, c)).max()) for r, c in checked)
     samples = _samples(process, drawn, dose, [((row, column), listed[row, column]) for row, column in places.tolist()])
     radii = np.array([sample.printed_corner_radius_nm for sample in samples])
     radii = radii[np.isfinite(radii)] if np.isfinite(radii).any() else np.full(1, math.nan)
+    *window, foot, top = found.window
     figures = ExposureFigures(
         pillars=sums.pillars,
         cd_error_rms_nm=sums.rms_nm,
@@ -194,6 +212,7 @@ def expose(
         base_over_clearing_dose=ratio,
         error=_UNCHECKED * largest,
         rounds=rounds,
+        walls=None if contrast is None else Walls(foot.bias_nm, top.bias_nm, top.unprinted_share),
     )
     bins_nm = np.asarray(BIN_NM * (np.arange(BINS + 1) - 0.5 * BINS), dtype=np.float64)
     return Exposure(
@@ -206,7 +225,7 @@ def expose(
         cd_histogram=found.histogram,
         cd_edges_nm=bins_nm,
         size_map=found.size_map,
-        window=found.window,
+        window=tuple(window),
         printed_less_drawn_nm=found.printed_less_drawn_nm,
     )
 

@@ -136,6 +136,7 @@ def expose_mask(
             outline=outline,
             beside=beside,
             base_over_clearing_dose=ratio,
+            contrast=process.contrast,
             lens_dose=lens_dose,
             work=work,
         )
@@ -147,6 +148,7 @@ def expose_mask(
         outline=outline,
         beside=beside,
         base_over_clearing_dose=ratio,
+        contrast=process.contrast,
         lens_dose=lens_dose,
         correction=process.correction if correct else "none",
         numerics=exposure.ExposureNumerics(classes=process.classes, samples=samples, keep_sizes=keep_sizes),

@@ -38,7 +38,7 @@ _LARGEST_RANGE_NM = 5e4
 #: rings beyond the table.
 _FIT_RATIO, _FIT_FLOOR, _EMPTY_RINGS = 1.35, 1e-4, 4
 #: Weights of the energy within each radius, of the sum of all weights, and of their smallness, beside that of a ring's
-#: relative error.
+#: relative error. Large weights of both signs magnify the errors of the energy, the more the shorter their ranges are.
 _FIT_WITHIN, _FIT_SUM, _FIT_SMALL = 30.0, 1e3, 0.3
 #: Least share of all energy of the rings whose relative errors are stated.
 _STATED_SHARE = 1e-3
@@ -60,10 +60,15 @@ class BeamPsf:
 
     @classmethod
     def of(cls, terms: Sequence[BeamTerm], source: str) -> BeamPsf:
-        """Expand terms into Gaussians; weights are normalised to a sum of 1; InputError for no term."""
+        """Expand terms into Gaussians; weights are normalised to a sum of 1.
+
+        InputError for no term, or weights without a positive sum.
+        """
         if not terms:
             raise InputError.single("exposure", "terms", "at least one term", "none")
         total = sum(term.weight for term in terms)
+        if total <= 0.0:
+            raise InputError.single("exposure", "terms", "weights of a positive sum", f"a sum of {total:g}")
         weights, ranges = [], []
         for term in terms:
             part_weight, part_range = _gaussians(term)
@@ -102,7 +107,8 @@ class BeamPsf:
         rows = [gaussians * scale[:, None], _FIT_WITHIN * np.cumsum(gaussians, axis=0), np.full((1, count), _FIT_SUM)]
         matrix = np.concatenate(rows)
         matrix = np.concatenate([matrix, -matrix[:, signed]], axis=1)
-        matrix = np.concatenate([matrix, _FIT_SMALL * np.eye(matrix.shape[1])])
+        small = _FIT_SMALL * np.where(signed, np.maximum(1.0, radius_nm[-1] / ranges), 1.0)
+        matrix = np.concatenate([matrix, np.diag(np.append(small, small[signed]))])
         wanted = np.concatenate([ring * scale, _FIT_WITHIN * np.cumsum(ring), [_FIT_SUM], np.zeros(matrix.shape[1])])
         parts, _ = nnls(matrix, wanted)
         weight = parts[:count]

@@ -3,7 +3,7 @@
 Every figure is a sum of rectangles. Ranges below two distances of neighbours are summed in closed form, where a
 rectangle is nearer than four ranges. Wider ones see the rectangles as masses on a grid: a node gets the integral of its
 cubic cardinal function, which keeps moments up to the third, and errs by 0.3 (step / range)^4 of the peak: 1e-3 on
-nodes half a distance of neighbours apart, and 3e-3 on the blocks of :mod:`metafab.exposure.energy.far`.
+nodes half a distance of neighbours apart, and 1e-3 on the blocks of :mod:`metafab.exposure.energy.far`.
 """
 
 from __future__ import annotations

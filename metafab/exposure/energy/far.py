@@ -25,8 +25,8 @@ from metafab.exposure.electrons.beam import BeamPsf
 #: Ranges after which a Gaussian is cut off: exp(-3.6^2) = 2e-6.
 REACH = 3.6
 #: Shortest range of the coarse grid, in periods.
-LONG_PERIODS = 12.0
-#: Sites a side of a block of the coarse grid: a third of its shortest range.
+LONG_PERIODS = 18.0
+#: Sites a side of a block of the coarse grid: 2 ninths of its shortest range.
 BLOCK_SITES = 4
 
 

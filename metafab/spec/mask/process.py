@@ -18,11 +18,13 @@ class BeamTerm(Checked):
     """One term of the beam's point-spread function."""
 
     kind: Literal["gauss", "power"]  #: Gaussian or power law.
-    weight: Positive  #: Weight relative to the other terms.
+    weight: Real  #: Weight relative to the other terms; Gaussians with a negative one subtract.
     range_nm: Positive  #: Range of the term.
     exponent: Annotated[float, Field(strict=True, gt=2.0, le=20.0)] | None = None  #: Exponent of a power law.
 
     def _faults(self) -> Iterator[str]:
+        if self.weight == 0.0 or (self.weight < 0.0 and self.kind == "power"):
+            yield f"`weight` must not be 0, and positive for a power law, got {self.weight:g}"
         if (self.kind == "power") != (self.exponent is not None):
             yield "`exponent` must be given for a power law, and only for it"
 
@@ -51,6 +53,9 @@ class ExposureProcess(Checked):
     #: Base dose over the clearing dose of a large pad; without the key that at which printed sizes equal drawn ones in
     #: the mean, in the best focus.
     base_over_clearing_dose: Positive | None = None
+    #: Contrast of the resist: its height grows from none to all over a factor of 10^(1 / contrast) in energy, with half
+    #: of it at the clearing energy; without the key the walls are upright.
+    contrast: Annotated[float, Field(strict=True, ge=0.5, le=100.0)] | None = None
     #: Layers beside that of the pillars which the beam writes with them, at the base dose; without the key all but
     #: alignment marks, windows and the shapes of the first exposure.
     with_layers: tuple[Index, ...] | None = None

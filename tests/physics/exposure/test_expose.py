@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.special import erf
+from scipy.special import erf, erfcinv
 
 from metafab.exposure import BeamPsf, BeamTerm, ExposureNumerics, expose
 from metafab.exposure.expose import Correction
@@ -39,6 +39,19 @@ def test_printed_edge_lies_where_the_energy_is_the_clearing_energy(lens: PillarM
         at_edge = 0.55 * 0.5 * erf(pillar.width_nm / 8.0)
         predicted = pillar.energy_edge_x + ratio * pillar.dose * (own - at_edge)
         assert predicted == pytest.approx(1.0, abs=0.01)
+
+
+def test_walls_of_a_lone_pillar_by_contrast() -> None:
+    """At the edge of a wide pillar the energy is erfc(s / range) / 2; at twice the clearing dose s = 0 halfway up."""
+    beam, index = BeamPsf.of([BeamTerm("gauss", 1.0, 20.0)], "assumption"), np.zeros((5, 5))
+    index[2, 2] = 1
+    lone = pattern(np.array([(300.0, 300.0)]), index)
+    figures = expose(lone, beam, base_over_clearing_dose=2.0, contrast=4.0).figures
+    assert figures.walls is not None
+    for found, factor in ((figures.walls.foot_bias_nm, 10.0**-0.125), (figures.walls.top_bias_nm, 10.0**0.125)):
+        assert found == pytest.approx(2.0 * 20.0 * erfcinv(factor), abs=0.02)
+    assert (figures.cd_bias_nm, figures.walls.low_share) == (pytest.approx(0.0, abs=1e-3), 0.0)
+    assert expose(lone, beam, base_over_clearing_dose=2.0).figures.walls is None
 
 
 def test_pillars_are_listed_once_each_and_as_many_as_there_are() -> None:

@@ -39,10 +39,11 @@ def test_a_table_is_fitted() -> None:
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_are_normalised_and_name_their_source(name: str) -> None:
-    """The fitted share of energy within any radius differs from the table's by at most 0.1."""
+    """The energy within any radius is that of the table to 1.1 %; that of rings with 1e-3 of it to -20 and +55 %."""
     psf = beam_psf(ExposureProcess(preset=name))
     assert psf.weight.sum() == pytest.approx(1.0)
-    assert psf.fit_error < 0.1
+    assert psf.fit_error < 0.011
+    assert 0.8 < psf.fit_ratio[0] < 1.0 < psf.fit_ratio[1] < 1.55
     assert psf.source.startswith("Monte Carlo by metafab: ")
     assert "assumed" in psf.source
 

@@ -6,9 +6,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from scipy.special import erf
+from scipy.special import erf, erfc
 
-from metafab.exposure import BeamPsf, BeamTerm, ResistEnergy
+from metafab.exposure import BeamPsf, BeamTerm, Beside, ResistEnergy
 from metafab.exposure.printing import EdgeTables
 from metafab.layout import Lattice, PillarMap
 from metafab.layout.outlines import Outline, Shape
@@ -47,6 +47,42 @@ def test_a_pad_of_touching_pillars_is_a_rectangle() -> None:
     near, far = 0.5 * PERIOD_NM, 2.0 * half - 0.5 * PERIOD_NM
     along = [0.5 * (erf(far / beta) + erf(near / beta)) for beta in (30.0, 6000.0)]
     assert centre[0, 0] == pytest.approx(0.7 * along[0] ** 2 + 0.3 * along[1] ** 2, abs=1e-3)
+
+
+def test_lines_are_a_fourier_series() -> None:
+    """Pillars that touch along y: far from the rim E = share + sum 2 / (pi n) sin(pi n share) cos(2 pi n x / p) f_n.
+
+    f_n = exp(-(pi n beta / p)^2) is the transform of a Gaussian.
+    """
+    beam = BeamPsf.of([BeamTerm("gauss", 0.8, 60.0), BeamTerm("gauss", 0.2, 2500.0)], "assumption")
+    lines = pattern(np.array([(160.0, PERIOD_NM)]), np.ones((81, 81)))
+    resist, dose = ResistEnergy(lines, beam), np.ones((81, 81), dtype=np.float32)
+    own = EdgeTables.of(beam, resist.shapes).at_edge[0, 1]
+    with ThreadPoolExecutor(1) as threads:
+        (_, found), *_ = resist.map_tiles(dose, threads, lambda tile: np.stack([tile.centre, tile.others[0] + own]))
+    share, n = 160.0 / PERIOD_NM, np.arange(1, 30)[:, None]
+    kept = (beam.weight * np.exp(-((np.pi * n * beam.range_nm / PERIOD_NM) ** 2))).sum(axis=1)
+    waves = 2.0 / (np.pi * n[:, 0]) * np.sin(np.pi * n[:, 0] * share) * kept
+    for value, x_nm in zip(found[:, 40, 40], (0.0, 80.0), strict=True):
+        series = share + float((waves * np.cos(2.0 * np.pi * n[:, 0] * x_nm / PERIOD_NM)).sum())
+        assert value == pytest.approx(series, abs=1e-4)
+
+
+@pytest.mark.parametrize("distance_nm", [200.0, 3000.0, 20000.0])
+def test_a_half_plane_is_an_error_function(distance_nm: float) -> None:
+    """A plane that ends beside a lone pillar gives it erfc(distance / range) / 2 of each Gaussian."""
+    lone = np.zeros((9, 9))
+    lone[4, 4] = 1
+    plane = np.array([[distance_nm, -3e5, 3e5, 3e5]])
+    resist = ResistEnergy(pattern(np.array([(150.0, 150.0)]), lone), BEAM)
+    dose = np.ones((9, 9), dtype=np.float32)
+    with ThreadPoolExecutor(1) as threads:
+        with_plane, alone = (
+            next(iter(one.map_tiles(dose, threads, lambda tile: tile.centre.astype(np.float64))))[1][4, 4]
+            for one in (resist.among(Beside(rectangles_nm=plane)), resist)
+        )
+    expected = float((0.5 * BEAM.weight * erfc(distance_nm / BEAM.range_nm)).sum())
+    assert with_plane - alone == pytest.approx(expected, abs=2e-4)
 
 
 @pytest.mark.parametrize(
