@@ -51,6 +51,17 @@ def test_the_stated_error_of_a_ring_holds(ring: tuple[float, ...], substrate: fl
     assert distance(zero_order(cell, 3), zero_order(cell, 4)) < distance(response, zero_order(cell, 6))
 
 
+def test_order_four_does_not_suffice_for_a_ring_of_index_five() -> None:
+    """Orders 3 and 4 differ by 0.004, and order 4 is off by 0.011."""
+    ring = PillarCell(
+        (511.222, 589.855), 483.834, 483.834, 208.937, 4.9562, (1.45, 1.45), 1.0, 1111.622, "ambient", shape="ring",
+        hole_nm=193.675,
+    )  # fmt: skip
+    coarse, order_4 = solve(ring, CellNumerics(1e-2, max_orders=4)), zero_order(ring, 4)
+    assert 1.4 * distance(order_4, zero_order(ring, 5)) <= coarse.error
+    assert solve(ring, CellNumerics(1e-2)).converged
+
+
 def test_a_rounded_rectangle_off_resonance_needs_order_four_alone() -> None:
     """Orders 3 and 4 take a third of the time of order 5; the bound holds against order 5, many times closer."""
     rounded = PillarCell((400.0, 400.0), 270.0, 282.0, 700.0, 2.0, (1.46, 1.46), 1.0, 633.0, corner_radius_nm=75.0)
