@@ -20,6 +20,7 @@ rooms it uses when it runs, so that a run without stale steps imports none of th
 from typing import TYPE_CHECKING
 
 from metafab.core.further import further_names
+from metafab.steps.exposure import EXPOSURE
 from metafab.steps.images import CAPTURE, DECODE
 from metafab.steps.job import Job, Step
 from metafab.steps.layout import DRC, LAYOUT, write_layout
@@ -32,7 +33,7 @@ from metafab.steps.summary import RunSummary
 from metafab.steps.tolerance import TOLERANCE
 
 #: All steps that make results, in the order in which they run.
-RESULT_STEPS = (LIBRARY, PHASE, STUDY, LAYOUT, DRC, PSF, MERIT, LIGHTS, TOLERANCE, CAPTURE, DECODE)
+RESULT_STEPS = (LIBRARY, PHASE, STUDY, LAYOUT, DRC, EXPOSURE, PSF, MERIT, LIGHTS, TOLERANCE, CAPTURE, DECODE)
 
 __all__ = [
     "RESULT_STEPS",

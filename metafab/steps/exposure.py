@@ -10,9 +10,11 @@ from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import file_sha256
+from metafab.core.storage.tables import optional
 from metafab.spec import Design, Dose
 from metafab.spec.mask import Etch
-from metafab.steps.job import Job
+from metafab.steps.job import Job, Step, in_folder, no_mask
+from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
 
 if TYPE_CHECKING:
@@ -24,6 +26,23 @@ if TYPE_CHECKING:
 
 #: "plain": printed with one dose; "corrected": with the correction of ``[process.exposure]``.
 Printed = Literal["plain", "corrected"]
+
+#: Record of the exposure in a run folder.
+FILE = "exposure.json"
+
+
+@dataclass(frozen=True)
+class PrintedFigures:
+    """Printed less drawn sizes of the written mask, by the design's ``[process.exposure]``."""
+
+    cd_error_rms_nm: float  #: Rms over widths and lengths, with one dose for all pillars.
+    cd_error_max_nm: float  #: Largest magnitude, likewise.
+    error: float  #: Error of an energy over the clearing energy.
+    corrected_rms_nm: float | None = optional()  #: Rms after the correction; None without one; likewise the following.
+    corrected_max_nm: float | None = optional()  #: Largest magnitude.
+    dose_min: float | None = optional()  #: Smallest dose relative to the base dose.
+    dose_max: float | None = optional()  #: Largest dose.
+    classes: int | None = optional()  #: Number of distinct doses.
 
 
 @dataclass(frozen=True)
@@ -202,3 +221,45 @@ def write_corrected(exposed: ExposedMask, design: Design, folder: Path, progress
         found.drawn, folder, dosed, progress=progress, dose_class=found.dose_class, class_dose=found.class_dose
     )
     return tuple(file.path for file in files)
+
+
+def _printed(job: Job) -> PrintedFigures:
+    """Expose the written mask with one dose and corrected; write the record for the report."""
+    path = mask_paths(job)[-1]
+    # Copies with a bias are predicted; their correction is refused.
+    correct = not any(copy.bias_nm for copy in job.design.mask.copies)
+    exposed = expose_mask(path, job.design, correct, 0, 1, job.work, keep_plain=True)
+    save_exposure(exposed, path, job.design, job.folder / FILE)
+    assert exposed.plain is not None
+    plain, found = exposed.plain.figures, exposed.exposure.figures
+    printed = PrintedFigures(plain.cd_error_rms_nm, plain.cd_error_max_nm, found.error)
+    if not correct:
+        return printed
+    return replace(
+        printed,
+        corrected_rms_nm=found.cd_error_rms_nm,
+        corrected_max_nm=found.cd_error_max_nm,
+        dose_min=found.dose_min,
+        dose_max=found.dose_max,
+        classes=found.classes,
+    )
+
+
+def _not_stated(design: Design) -> str | None:
+    if design.process is None or design.process.exposure is None:
+        return "the design has no [process.exposure]"
+    if design.mask.dose is not None:
+        return "the mask has dose classes; `metafab expose` reads the mask of one dose"
+    return no_mask(design)
+
+
+EXPOSURE = Step(
+    name="exposure",
+    rooms=("mask", "exposure"),
+    after=("layout",),
+    inputs=lambda design: (design.process, design.mask, design.unit_cell.cell),
+    outputs=in_folder(FILE),
+    work=_printed,
+    figures=PrintedFigures,
+    not_needed=_not_stated,
+)

@@ -13,6 +13,7 @@ from metafab.core.figures import PhaseFigures, ToleranceTable
 from metafab.core.storage.files import plain, write_json
 from metafab.core.storage.tables import DAMAGED, optional, typed
 from metafab.spec import Design
+from metafab.steps.exposure import PrintedFigures
 from metafab.steps.images import CaptureFigures, DecodeFigures
 from metafab.steps.layout import DrcFigures, LayoutFigures
 from metafab.steps.library import LibraryFigures
@@ -75,6 +76,7 @@ class RunSummary:
     study: StudyFigures | None = None
     layout: LayoutFigures | None = None
     drc: DrcFigures | None = None
+    exposure: PrintedFigures | None = None
     psf: PsfFigures | None = None
     merit: MeritFigures | None = None
     lights: LightsFigures | None = None

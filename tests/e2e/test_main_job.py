@@ -83,8 +83,8 @@ def test_a_second_run_skips_everything(main_job: MainJob, tmp_path: Path) -> Non
     assert first.code == 0, first.stderr
     second = metafab("run", SMALL, "-o", folder, "--json")
     assert {entry["step"] for entry in second.json["skipped"]} == {
-        "library", "phase", "study", "layout", "drc", "psf", "merit", "tolerance", "lights", "capture", "decode",
-        "report",
+        "library", "phase", "study", "layout", "drc", "exposure", "psf", "merit", "tolerance", "lights", "capture",
+        "decode", "report",
     }  # fmt: skip
     assert second.json["decode"] == first.json["decode"]
 
@@ -101,3 +101,17 @@ def test_a_run_with_nothing_to_do_starts_no_room(main_job: MainJob, tmp_path: Pa
     )
     answer = subprocess.run([sys.executable, "-c", code, SMALL, folder], capture_output=True, text=True, check=True)
     assert answer.stdout.strip() == "[]"
+
+
+def test_a_stated_process_prints_the_mask_of_the_same_run(main_job: MainJob, tmp_path: Path) -> None:
+    folder = tmp_path / "exposed"
+    shutil.copytree(main_job.folder, folder)
+    answer = metafab("run", SMALL.with_name("helix_exposed.toml"), "-o", folder, "--json")
+    assert answer.code == 0, answer.stderr
+    assert {entry["step"] for entry in answer.json["skipped"]} >= {"layout", "drc", "psf", "decode"}
+    printed = answer.json["exposure"]
+    assert printed["corrected_rms_nm"] < 0.1 < 1.0 < printed["cd_error_rms_nm"]
+    assert printed["classes"] <= 64 and printed["dose_min"] < 1.0 < printed["dose_max"]
+    record = json.loads((folder / "exposure.json").read_text())
+    assert record["plain"]["figures"]["cd_error_rms_nm"] == printed["cd_error_rms_nm"]
+    assert "Exposure: printed sizes" in (folder / "report.html").read_text(encoding="utf-8")

@@ -53,7 +53,7 @@ def test_a_lens_without_a_scene_runs_to_its_report(tmp_path: Path, plain_lens: D
     assert "[scene]" not in canonical_toml(plain_lens)
     summary = run.run(plain_lens, tmp_path)
     skipped = {entry.step: entry.why for entry in summary.skipped}
-    assert "[tolerance]" in skipped.pop("tolerance")
+    assert "[tolerance]" in skipped.pop("tolerance") and "[process.exposure]" in skipped.pop("exposure")
     no_scene = dict.fromkeys(("capture", "decode"), "the design has no scene to photograph")
     assert skipped == {"lights": "the design serves one wavelength", **no_scene}
     assert summary.psf is not None and summary.capture is None and summary.decode is None

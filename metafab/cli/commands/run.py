@@ -131,6 +131,10 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
         if drc.min_gap_nm is not None:
             lines["smallest gap"] = f"{drc.min_gap_nm:g} nm"
         lines["rules broken"] = str(summary.violations)
+    if (printed := summary.exposure) is not None:
+        corrected = printed.corrected_rms_nm
+        after = "" if corrected is None else f", {corrected:.2g} nm with corrected doses or shapes"
+        lines["printed sizes"] = f"{printed.cd_error_rms_nm:.2g} nm off (rms) with one dose{after}"
     if (psf := summary.psf) is not None:
         efficiency = sum(psf.efficiency_x) / len(psf.efficiency_x)
         lines["PSF error"] = f"{max(psf.error):.2g} at most (relative L2)"
