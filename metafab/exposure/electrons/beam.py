@@ -34,13 +34,19 @@ BACKSCATTER_NM = 2000.0
 _LOG_STEP = 0.7
 #: Largest range of a Gaussian in a power law (nm): the range of 100 keV electrons in silicon, which ends the law.
 _LARGEST_RANGE_NM = 5e4
-#: Ratio of neighbouring ranges in the fit of a table, the share of all energy below which a ring counts less, and empty
-#: rings beyond the table.
-_FIT_RATIO, _FIT_FLOOR, _EMPTY_RINGS = 1.35, 1e-4, 4
+#: Negative energy over all energy, of rings for a factor of e in radius, that terms may have: three times that of the
+#: presets' fits beyond the range of the electrons.
+_LEAST_NEGATIVE = 0.01
+#: Ratio of neighbouring ranges in the fit of a table, and the share of all energy below which a ring counts less.
+_FIT_RATIO, _FIT_FLOOR = 1.35, 1e-4
+#: Empty rings beyond the table, and least ratio of their radii: they reach to three times its last radius, which
+#: no fitted range exceeds by more than :data:`_FIT_RATIO`.
+_EMPTY_RINGS, _EMPTY_RATIO = 4, 4.0 / 3.0
 #: Weights of the energy within each radius, of the sum of all weights, and of their smallness, beside that of a ring's
 #: relative error. Large weights of both signs magnify the errors of the energy, the more the shorter their ranges are.
 _FIT_WITHIN, _FIT_SUM, _FIT_SMALL = 30.0, 1e3, 0.3
-#: Least share of all energy of the rings whose relative errors are stated.
+#: Least share of all energy of the rings whose relative errors are stated; of a finer table those with at least half
+#: of its largest ring's.
 _STATED_SHARE = 1e-3
 
 
@@ -54,7 +60,8 @@ class BeamPsf:
     source: str  #: Reference of the numbers, or "assumption".
     #: Largest difference between the fitted and the tabulated share of energy within any radius; 0 without a table.
     fit_error: float = 0.0
-    #: Least and largest fitted over tabulated energy of rings with at least 1e-3 of all energy; 1 without a table.
+    #: Least and largest fitted over tabulated energy of rings with at least 1e-3 of all energy (of a finer table, with
+    #: at least half of its largest ring's); 1 without a table.
     fit_ratio: tuple[float, float] = (1.0, 1.0)
     blur_nm: float = 0.0  #: Range of the Gaussian that ``terms`` or the table are convolved with in ``range_nm``.
 
@@ -62,7 +69,7 @@ class BeamPsf:
     def of(cls, terms: Sequence[BeamTerm], source: str) -> BeamPsf:
         """Expand terms into Gaussians; weights are normalised to a sum of 1.
 
-        InputError for no term, or weights without a positive sum.
+        InputError for no term, weights without a positive sum, or a density that negative weights make negative.
         """
         if not terms:
             raise InputError.single("exposure", "terms", "at least one term", "none")
@@ -76,7 +83,14 @@ class BeamPsf:
             ranges.append(part_range)
         weight, range_nm = np.concatenate(weights), np.concatenate(ranges)
         order = np.argsort(range_nm)
-        return cls(weight[order], range_nm[order], tuple(terms), source)
+        psf = cls(weight[order], range_nm[order], tuple(terms), source)
+        radius_nm = np.geomspace(0.1 * range_nm.min(), 4.0 * range_nm.max(), 1000)
+        energy = 2.0 * math.pi * radius_nm**2 * psf.density(radius_nm)
+        if energy.min() < -_LEAST_NEGATIVE:
+            expected, worst = "an energy density that is nowhere negative", radius_nm[energy.argmin()]
+            got = f"{energy.min():.2g} of all energy for a factor of e in radius, at {worst:.3g} nm"
+            raise InputError.single("exposure", "terms", expected, got, "weaken the terms of negative weight")
+        return psf
 
     @classmethod
     def fitted(cls, radius_nm: FloatArray, density: FloatArray, source: str) -> BeamPsf:
@@ -100,7 +114,8 @@ class BeamPsf:
         )
         ring = np.append(density * math.pi * np.diff(edges**2), np.zeros(_EMPTY_RINGS))
         ring /= ring.sum()
-        edges = np.append(edges, edges[-1] * (edges[-1] / edges[-2]) ** np.arange(1, _EMPTY_RINGS + 1))
+        ratio = max(edges[-1] / edges[-2], _EMPTY_RATIO)
+        edges = np.append(edges, edges[-1] * ratio ** np.arange(1, _EMPTY_RINGS + 1))
         gaussians = -np.diff(np.exp(-((edges[:, None] / ranges) ** 2)), axis=0)
         scale = 1.0 / np.maximum(ring, _FIT_FLOOR)
         signed = ranges >= BACKSCATTER_NM
@@ -110,14 +125,14 @@ class BeamPsf:
         small = _FIT_SMALL * np.where(signed, np.maximum(1.0, radius_nm[-1] / ranges), 1.0)
         matrix = np.concatenate([matrix, np.diag(np.append(small, small[signed]))])
         wanted = np.concatenate([ring * scale, _FIT_WITHIN * np.cumsum(ring), [_FIT_SUM], np.zeros(matrix.shape[1])])
-        parts, _ = nnls(matrix, wanted)
+        parts, _ = nnls(matrix, wanted, maxiter=100 * matrix.shape[1])
         weight = parts[:count]
         weight[signed] -= parts[count:]
         weight /= weight.sum()
-        fitted, used, stated = gaussians @ weight, weight != 0.0, ring >= _STATED_SHARE
-        ratio = (fitted / np.maximum(ring, _FIT_FLOOR))[stated]
+        fitted, used, stated = gaussians @ weight, weight != 0.0, ring >= min(_STATED_SHARE, 0.5 * ring.max())
+        over = fitted[stated] / ring[stated]
         within = float(np.abs(np.cumsum(fitted - ring)).max())
-        return cls(weight[used], ranges[used], (), source, within, (float(ratio.min()), float(ratio.max())))
+        return cls(weight[used], ranges[used], (), source, within, (float(over.min()), float(over.max())))
 
     def density(self, radius_nm: FloatArray) -> FloatArray:
         """Energy density per nm^2 at ``radius_nm``, in its shape."""

@@ -37,6 +37,34 @@ def test_a_table_is_fitted() -> None:
     assert beam.weight.sum() == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("radius", [np.linspace(5.0, 25e3, 5000), np.geomspace(0.1, 2e4, 400)], ids=["even", "log"])
+def test_a_fine_table_that_ends_steeply_is_fitted(radius: np.ndarray) -> None:
+    """No ring of the even table holds 1e-3 of the energy. The stated error holds beyond the table, too."""
+    density = np.exp(-((radius / 15e3) ** 8))
+    beam = BeamPsf.fitted(radius, density, "table")
+    assert 0.5 < beam.fit_ratio[0] < 1.0 < beam.fit_ratio[1] < 2.0
+    beyond = np.geomspace(25e3, 25e4, 50)[:, None]
+    missed = 1.0 - (1.0 - np.exp(-((beyond / beam.range_nm) ** 2))) @ beam.weight
+    assert np.abs(missed).max() < 1.01 * beam.fit_error < 0.2
+
+
+def test_negative_weights_must_leave_a_density() -> None:
+    """A ring of a Gaussian less a narrower one; more than its density on the axis is refused."""
+    wide = BeamTerm("gauss", 1.0, 5000.0)
+    beam = BeamPsf.of([wide, BeamTerm("gauss", -0.15, 2000.0)], "assumption")
+    assert beam.density(np.zeros(1)) > 0.0
+    with pytest.raises(InputError, match="nowhere negative"):
+        BeamPsf.of([wide, BeamTerm("gauss", -0.5, 2000.0)], "assumption")
+
+
+def test_terms_of_a_preset_are_taken_as_they_are_listed() -> None:
+    """``psf.terms`` of ``metafab expose --json``, negative weights included."""
+    for name in PRESETS:
+        psf = beam_psf(ExposureProcess(preset=name))
+        terms = [BeamTerm("gauss", float(w), float(b)) for w, b in zip(psf.weight, psf.range_nm, strict=True)]
+        np.testing.assert_allclose(BeamPsf.of(terms, "assumption").weight, psf.weight, rtol=1e-12)
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_are_normalised_and_name_their_source(name: str) -> None:
     """The energy within any radius is that of the table to 1.1 %; that of rings with 1e-3 of it to -20 and +55 %."""
