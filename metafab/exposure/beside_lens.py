@@ -19,7 +19,7 @@ from metafab.exposure.energy.far import REACH
 from metafab.exposure.energy.shapes import strips
 from metafab.layout import Outline, lattice_of
 from metafab.mask import ReadBack, shapes_beside
-from metafab.mask.drawing.copies import lens_copies
+from metafab.mask.drawing.copies import lens_copies, lens_copy
 from metafab.spec import Design
 
 Dose = Literal["counted", "out of reach", "first exposure", "not the design's"]
@@ -40,9 +40,12 @@ class ShapesBeside:
 
 
 def copies_in_reach(design: Design, copy: int, range_nm: float) -> tuple[int, ...]:
-    """Return the numbers of the other copies whose squares lie within reach of Gaussians up to a range."""
+    """Return the numbers of the other copies whose squares lie within reach of Gaussians up to a range.
+
+    InputError if the design has no such copy.
+    """
     lattice, copies = lattice_of(design), lens_copies(design)
-    here, reach_dbu = copies[copy - 1], REACH * range_nm / lattice.database_unit_nm
+    here, reach_dbu = lens_copy(design, copy), REACH * range_nm / lattice.database_unit_nm
     sides = [count * period for count, period in zip(lattice.shape[::-1], lattice.period_dbu, strict=True)]
     return tuple(
         number
@@ -87,6 +90,8 @@ def beside_lens(
     rectangles = [np.empty((0, 4))]
     drawn = dict(_drawn(design, np.array([here.x_dbu, here.y_dbu])))
     for layer, count in back.other_layers.items():
+        if layer.endswith(" text"):  # Texts of included cells draw nothing.
+            continue
         name, exposed, parts = drawn.pop(layer, ("", False, []))
         if len(parts) != count:
             listed.append(ShapesBeside(f"{layer} {name}".strip(), count, "not the design's"))
@@ -121,7 +126,8 @@ def _drawn(design: Design, axis_dbu: FloatArray) -> Iterator[tuple[str, tuple[st
     stated = None if process is None else process.with_layers
     layers = {name: int(name.split("/")[0]) for name in parts}
     if stated is not None and (unknown := sorted(set(stated) - set(layers.values()))):
-        expected = f"layers that the design draws beside its lenses: {', '.join(map(str, sorted(layers.values())))}"
+        known = ", ".join(map(str, sorted(set(layers.values()))))
+        expected = f"layers that the design draws beside its lenses: {known or 'it draws none'}"
         raise InputError.single(design.name, "process.exposure.with_layers", expected, ", ".join(map(str, unknown)))
     for name, (description, exposed, shapes) in parts.items():
         yield name, (description, exposed if stated is None else layers[name] in stated, shapes)

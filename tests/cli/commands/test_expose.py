@@ -191,7 +191,9 @@ def test_everything_beside_a_lens_is_counted(smooth_library: Library, tmp_path: 
     Marks are the first exposure's. A shape that the design does not draw is left out, and named.
     """
     arrow = gdstk.Library(unit=1e-6, precision=1e-9)
-    arrow.new_cell("arrow").add(gdstk.Polygon([(-9, -9), (-7, -11), (-9, -10), (-11, -11)], layer=40))
+    arrow.new_cell("arrow").add(
+        gdstk.Polygon([(-9, -9), (-7, -11), (-9, -10), (-11, -11)], layer=40), gdstk.Label("up", (-9, -9), layer=40)
+    )
     arrow.write_gds(tmp_path / "arrow.gds")
     path = design_file(tmp_path / "design.toml", SMALL, PROCESS + CHIP, aperture_um="15.0", formats='["oas"]')
     design = load_design(path)
@@ -203,6 +205,7 @@ def test_everything_beside_a_lens_is_counted(smooth_library: Library, tmp_path: 
     common = ("--design", path, "--json", "--sample", "1000000", "--sample-csv", tmp_path / "s.csv")
     answer = metafab("expose", tmp_path / "layout.oas", *common, "--copy", "2")
     assert answer.code == 0, answer.stderr
+    assert "not counted" not in answer.stderr
     beside = {one["name"]: one["dose"] for one in answer.json["beside"]}
     assert beside["copy 1"] == beside["11/0 frame"] == beside["40/0 included from arrow.gds"] == "counted"
     assert beside["10/0 alignment marks"] == "first exposure"

@@ -37,15 +37,14 @@ def test_a_table_is_fitted() -> None:
     assert beam.weight.sum() == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("radius", [np.linspace(5.0, 25e3, 5000), np.geomspace(0.1, 2e4, 400)], ids=["even", "log"])
-def test_a_fine_table_that_ends_steeply_is_fitted(radius: np.ndarray) -> None:
-    """No ring of the even table holds 1e-3 of the energy. The stated error holds beyond the table, too."""
-    density = np.exp(-((radius / 15e3) ** 8))
-    beam = BeamPsf.fitted(radius, density, "table")
-    assert 0.5 < beam.fit_ratio[0] < 1.0 < beam.fit_ratio[1] < 2.0
-    beyond = np.geomspace(25e3, 25e4, 50)[:, None]
+@pytest.mark.parametrize("radius", [np.linspace(10.0, 2e4, 2000), np.geomspace(1.0, 2e4, 1500)], ids=["even", "log"])
+def test_a_fine_table_that_ends_at_once_is_fitted(radius: np.ndarray) -> None:
+    """A disc. No ring of the even table holds 1e-3 of the energy; the stated error holds beyond the tables, too."""
+    beam = BeamPsf.fitted(radius, np.ones(radius.size), "table")
+    assert 0.0 < beam.fit_ratio[0] < 1.0 < beam.fit_ratio[1] < 2.5
+    beyond = np.geomspace(2.1e4, 2e5, 50)[:, None]
     missed = 1.0 - (1.0 - np.exp(-((beyond / beam.range_nm) ** 2))) @ beam.weight
-    assert np.abs(missed).max() < 1.01 * beam.fit_error < 0.2
+    assert np.abs(missed).max() < beam.fit_error < 0.25
 
 
 def test_negative_weights_must_leave_a_density() -> None:
