@@ -141,7 +141,7 @@ def psf_command(
                 centre_um=centre_um,
                 printed=printed,
                 sizes=sizes,
-                tangent=None if job.light is None else light_tangent(job.design, job.light),
+                tangent=None if job.light is None or angle_deg is None else light_tangent(job.design, job.light),
             )
     if output is not None:
         optics.save_psf(job, pair, layout, output, copy, printed, sizes)

@@ -79,7 +79,7 @@ def test_a_psf_of_slanting_light_is_asked_for_by_its_direction(tmp_path: Path) -
     lens = (
         'name = "wide"\nlibrary = "cell.toml"\n[device]\naperture_um = 20.0\nfocal_length_mm = 0.05\n'
         '[[phase]]\nterm = "lens"\n[[light]]\nwavelength_nm = 532.0\n'
-        "[[light]]\nwavelength_nm = 532.0\nangle_x_deg = 10.0\n"
+        "[[light]]\nwavelength_nm = 532.0\nangle_x_deg = 10.0\n[[light]]\nwavelength_nm = 600.0\n"
         '[rules]\n[mask]\nformats = ["oas"]\n[sensor]\npixel_um = 0.25\nfocus_depth_m = 1000.0\n'
         "[verify]\ndepths_m = [1000.0]\n"
     )
@@ -90,6 +90,10 @@ def test_a_psf_of_slanting_light_is_asked_for_by_its_direction(tmp_path: Path) -
     centre_um = load(tmp_path / "psf.h5").centre_um[0, 0]
     sine = 1.461 * math.sin(math.radians(10.0))
     assert centre_um == pytest.approx([50.0 * sine / math.sqrt(1.0 - sine**2), 0.0], rel=1e-3, abs=1e-3)
+    # Another wavelength leaves an object where it stands.
+    answer = metafab(*ask, "--wavelength-nm", "600", "--object-mm", "1e5", "0")
+    assert answer.code == 0, answer.stderr
+    assert load(tmp_path / "psf.h5").centre_um[0, 0] == pytest.approx([-5.0, 0.0], abs=0.01)
     refused = metafab(*ask, "--angle-deg", "5", "0")
     assert refused.code == 2
     assert "532 nm; 532 nm, 10 deg in x-z" in refused.stderr and "got 532 nm, 5 deg in x-z" in refused.stderr
