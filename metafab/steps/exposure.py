@@ -33,13 +33,18 @@ FILE = "exposure.json"
 
 @dataclass(frozen=True)
 class PrintedFigures:
-    """Printed less drawn sizes of the written mask, by the design's ``[process.exposure]``."""
+    """Printed less drawn sizes of the first lens of the written mask, by the design's ``[process.exposure]``.
+
+    Pillars that do not print are counted, and left out of the sizes.
+    """
 
     cd_error_rms_nm: float  #: Rms over widths and lengths, with one dose for all pillars.
     cd_error_max_nm: float  #: Largest magnitude, likewise.
+    unprinted: int  #: Pillars that do not print, likewise.
     error: float  #: Error of an energy over the clearing energy.
     corrected_rms_nm: float | None = optional()  #: Rms after the correction; None without one; likewise the following.
     corrected_max_nm: float | None = optional()  #: Largest magnitude.
+    corrected_unprinted: int | None = optional()  #: Pillars that do not print.
     dose_min: float | None = optional()  #: Smallest dose relative to the base dose.
     dose_max: float | None = optional()  #: Largest dose.
     classes: int | None = optional()  #: Number of distinct doses.
@@ -232,24 +237,33 @@ def _printed(job: Job) -> PrintedFigures:
     save_exposure(exposed, path, job.design, job.folder / FILE)
     assert exposed.plain is not None
     plain, found = exposed.plain.figures, exposed.exposure.figures
-    printed = PrintedFigures(plain.cd_error_rms_nm, plain.cd_error_max_nm, found.error)
+    printed = PrintedFigures(plain.cd_error_rms_nm, plain.cd_error_max_nm, plain.unprinted, found.error)
     if not correct:
         return printed
     return replace(
         printed,
         corrected_rms_nm=found.cd_error_rms_nm,
         corrected_max_nm=found.cd_error_max_nm,
+        corrected_unprinted=found.unprinted,
         dose_min=found.dose_min,
         dose_max=found.dose_max,
         classes=found.classes,
     )
 
 
-def _not_stated(design: Design) -> str | None:
-    if design.process is None or design.process.exposure is None:
+def _not_predicted(design: Design) -> str | None:
+    """Return why the exposure of a design's mask is not predicted; None if it is."""
+    process = None if design.process is None else design.process.exposure
+    if process is None:
         return "the design has no [process.exposure]"
     if design.mask.dose is not None:
         return "the mask has dose classes; `metafab expose` reads the mask of one dose"
+    if (shape := design.unit_cell.cell.shape) in {"cross", "ring"} or design.mask.tone != "negative":
+        what = f"the shape '{shape}'" if design.mask.tone == "negative" else f"the tone '{design.mask.tone}'"
+        return f"{what} is not available with the exposure"
+    focus_um = design.mask.copies[0].focus_um if design.mask.copies else process.best_focus_um
+    if focus_um != process.best_focus_um and process.convergence_mrad is None:
+        return "the first lens is out of focus, and `process.exposure.convergence_mrad` is not stated"
     return no_mask(design)
 
 
@@ -261,5 +275,5 @@ EXPOSURE = Step(
     outputs=in_folder(FILE),
     work=_printed,
     figures=PrintedFigures,
-    not_needed=_not_stated,
+    not_needed=_not_predicted,
 )

@@ -134,7 +134,8 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
     if (printed := summary.exposure) is not None:
         corrected = printed.corrected_rms_nm
         after = "" if corrected is None else f", {corrected:.2g} nm with corrected doses or shapes"
-        lines["printed sizes"] = f"{printed.cd_error_rms_nm:.2g} nm off (rms) with one dose{after}"
+        left_out = f" (without {printed.unprinted} pillars that do not print)" if printed.unprinted else ""
+        lines["printed sizes"] = f"{printed.cd_error_rms_nm:.2g} nm off (rms) with one dose{left_out}{after}"
     if (psf := summary.psf) is not None:
         efficiency = sum(psf.efficiency_x) / len(psf.efficiency_x)
         lines["PSF error"] = f"{max(psf.error):.2g} at most (relative L2)"

@@ -1,16 +1,19 @@
-"""Copies out of focus share the base dose of those in focus."""
+"""Copies out of focus share the base dose of those in focus; a run names why it predicts no printed sizes."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from metafab.core.parallel.work import Work
 from metafab.library import Library, save
-from metafab.spec import load_design
+from metafab.spec import Dose, load_design
+from metafab.spec.mask import Copy
 from metafab.steps import Job, write_layout
-from metafab.steps.exposure import expose_mask
+from metafab.steps.exposure import EXPOSURE, expose_mask
 from tests.main_job import SMALL
 
 FURTHER = """
@@ -39,3 +42,19 @@ def test_a_copy_out_of_focus_is_exposed_at_the_base_dose_of_the_others(smooth_li
     assert blurred.base_over_clearing_dose == pytest.approx(sharp.base_over_clearing_dose, rel=1e-12)
     assert abs(sharp.cd_bias_nm) < 0.1
     assert abs(blurred.cd_bias_nm) > 1.0
+
+
+def test_a_run_leaves_out_an_exposure_that_cannot_be_predicted() -> None:
+    """A focus matrix is written before the convergence is known that follows from it."""
+    design = load_design(SMALL.with_name("helix_exposed.toml"))
+    assert EXPOSURE.not_needed(design) is None
+    cases: list[tuple[dict[str, Any], str]] = [
+        ({"tone": "inverted"}, "'inverted'"),
+        ({"dose": Dose(by="proximity", classes=8)}, "dose classes"),
+        ({"copies": (Copy((0.0, 0.0), focus_um=2.0), Copy((300.0, 0.0)))}, "convergence_mrad"),
+        ({"formats": ()}, "no mask"),
+    ]
+    for change, why in cases:
+        assert why in (EXPOSURE.not_needed(replace(design, mask=replace(design.mask, **change))) or "")
+    in_focus = replace(design.mask, copies=(Copy((0.0, 0.0)), Copy((300.0, 0.0), focus_um=2.0)))
+    assert EXPOSURE.not_needed(replace(design, mask=in_focus)) is None
