@@ -54,6 +54,8 @@ _CONVERGENCE_MRAD, _WIDEST_NM = 5.0, 100.0
 _BLUR_NODES = 7
 #: Halvings of the interval of an edge's displacement (of up to 200 nm): to 1e-8 nm, for difference quotients.
 _HALVINGS = 35
+#: Largest correlation of two parameters that count as told apart.
+_MOST_CORRELATED = 0.9999
 #: Reach of an edge outwards (nm).
 _REACH_NM = 100.0
 
@@ -128,7 +130,7 @@ def fit_process(
 
     Raises:
         InputError: no backscattered term, no dose, lenses out of focus without a convergence, too few sizes, or sizes
-            that do not determine the parameters.
+            that leave a parameter open.
     """
     etch = etch or Etch()
     forward, back, eta = beam_psf(replace(start, blur_nm=0.0)).scattered()
@@ -167,10 +169,8 @@ def fit_process(
     )
     _require_inside(found, chosen)
     square = float((found.fun**2).sum()) / (count - int(chosen.sum()))
-    covariance = _covariance(
-        np.asarray(found.jac), [name for name, is_free in zip(PARAMETERS, chosen, strict=True) if is_free]
-    )
-    covariance *= square
+    names = [name for name, is_free in zip(PARAMETERS, chosen, strict=True) if is_free]
+    covariance = square * _covariance(np.asarray(found.jac), names)
     whole = all_values(np.asarray(found.x, dtype=np.float64))
     model.require_within_reach(whole)
     errors = np.full(len(PARAMETERS), np.nan)
@@ -179,7 +179,8 @@ def fit_process(
         FittedValue(float(value), float(error) if is_free else None)
         for value, error, is_free in zip(whole, errors, chosen, strict=True)
     ]
-    largest, names = _largest_correlation(covariance, [n for n, f in zip(PARAMETERS, chosen, strict=True) if f])
+    largest, correlated = _largest_correlation(covariance, names)
+    _require_determined(whole, errors, largest, correlated)
     return ProcessFit(
         base_over_clearing_dose=fitted[0],
         backscatter_ratio=fitted[1],
@@ -193,7 +194,7 @@ def fit_process(
         doses=len(np.unique(np.concatenate([lens.dose for lens in lenses]))),
         focuses=len(focuses),
         largest_correlation=largest,
-        correlated=names,
+        correlated=correlated,
         bias_map=_bias_map(lenses, whole[3] - found.fun.reshape(-1, 2)),
     )
 
@@ -373,6 +374,24 @@ def _covariance(jacobian: FloatArray, names: Sequence[str]) -> FloatArray:
         raise InputError.single("process fit", "sizes", expected, f"sizes that leave {worst} open", remedy)
     inverse = (right.T / singular) / scale[:, None]
     return np.asarray(inverse @ inverse.T)
+
+
+def _require_determined(values: FloatArray, errors: FloatArray, largest: float, correlated: tuple[str, ...]) -> None:
+    """Refuse parameters whose standard error exceeds themselves, or half the range of those that may be 0."""
+    faults = []
+    half_range = 0.5 * (_HIGH - _LOW)
+    for name, value, error, least, half in zip(PARAMETERS, values, errors, _LOW, half_range, strict=True):
+        most = value if least > 0.0 else half
+        if error > most:
+            further = "further focuses" if name in ("convergence", "focus") else "further doses, and up to the rim"
+            expected, got = f"sizes that give it with an error below {most:.3g}", f"{value:.3g} +- {error:.3g}"
+            faults.append(Fault(name, expected, got, f"measure at {further}, or leave `{name}` out of `--free`"))
+    if largest > _MOST_CORRELATED:
+        expected, got = f"sizes that tell {' and '.join(correlated)} apart", f"a correlation of {largest:.6f}"
+        remedy = f"measure at further doses or focuses, or leave `{correlated[1]}` out of `--free`"
+        faults.append(Fault(", ".join(correlated), expected, got, remedy))
+    if faults:
+        raise InputError("process fit", faults)
 
 
 def _largest_correlation(covariance: FloatArray, names: Sequence[str]) -> tuple[float, tuple[str, ...]]:

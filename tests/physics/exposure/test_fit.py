@@ -166,6 +166,15 @@ def test_a_parameter_at_its_bound_is_refused_by_name(small_lens: PillarMap) -> N
         fit_process([lens], beam(ETA, BLUR_NM, base_over_clearing_dose=RATIO), ("bias",))
 
 
+def test_one_dose_leaves_the_threshold_open(small_lens: PillarMap) -> None:
+    """A bias and a threshold change all sizes alike; fixed, either one gives the other."""
+    lens = measured(small_lens, (1.0,), 4.0, count=40)
+    with pytest.raises(InputError, match=r"`threshold`.* \+- .*leave `threshold` out of `--free`"):
+        fit_process([lens], beam(None, BLUR_NM))
+    fit = fit_process([lens], beam(ETA, BLUR_NM, base_over_clearing_dose=RATIO), ("bias",))
+    assert fit.bias_nm.value == pytest.approx(BIAS_NM, abs=2.0)
+
+
 def test_sizes_that_determine_nothing_are_refused(small_lens: PillarMap) -> None:
     lens = measured(small_lens, (1.0,), 0.0)
     one = MeasuredLens(lens.pillars, lens.place[:1], lens.dose[:1], lens.size_nm[:1])
