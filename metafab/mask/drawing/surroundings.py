@@ -146,7 +146,7 @@ def _copy_labels(design: Design, chip: Chip, copies: Sequence[LensCopy], lens: i
     """
     square = _dbu(design, chip.text_um) // ROWS
     for number, copy in enumerate(copies, start=1):
-        if copy.label is None:
+        if copy.label is None or not chip.text_um:
             continue
         key, width = f"mask.copies[{number}].label", width_squares(copy.label) * square
         if width > 2 * lens:
@@ -166,24 +166,29 @@ def _text(design: Design, chip: Chip, lenses: _Box, margin: int) -> IntArray:
     """Label at the left, and scale bar with its length at the right; both below all lenses."""
     label = design.name if chip.label is None else chip.label
     square = _dbu(design, chip.text_um) // ROWS
+    if not chip.text_um:
+        return np.empty((0, 4), dtype=np.int64)
     if square < 1 or (ROWS + 2 * bool(design.mask.copies)) * square > margin:
         raise _no_room(design, "text_um", f"at most the margin of {chip.margin_um:g} um", f"{chip.text_um:g} um")
-    # Marks reach inwards as far as the box around the lenses; the text keeps half a margin from them.
-    left, right = lenses.left + margin // 2, lenses.right - margin // 2
+    bar, small = _dbu(design, chip.scale_bar_um), max(1, square // 2)
+    caption = f"{chip.scale_bar_um:g} UM"
+    used = width_squares(label) * square
+    if bar:
+        used += max(bar, width_squares(caption) * small) + ROWS * square
+    # Marks reach inwards as far as the box around the lenses; the text keeps half a margin from them where it fits.
+    width = lenses.right - lenses.left
+    aside = min(margin // 2, max(square, (width - used) // 2))
+    if used > max(0, width - 2 * aside):
+        um = design.mask.database_unit_nm * 1e-3
+        expected = f"label and scale bar within {max(0, width - 2 * aside) * um:g} um"
+        remedy = "shorten it, or `text_um` and `scale_bar_um`"
+        raise InputError.single(design.name, "mask.chip.label", expected, f"{used * um:g} um", remedy)
+    left, right = lenses.left + aside, lenses.right - aside
     bottom = lenses.bottom - margin // 2 - ROWS * square // 2
     rectangles = [_moved(text_rectangles(label, square), left, bottom)]
-    used = width_squares(label) * square
-    if chip.scale_bar_um:
-        bar = _dbu(design, chip.scale_bar_um)
-        caption = f"{chip.scale_bar_um:g} UM"
-        small = max(1, square // 2)
+    if bar:
         rectangles.append(np.array([[right - bar, bottom, bar, square]], dtype=np.int64))
         rectangles.append(_moved(text_rectangles(caption, small), right - bar, bottom + 2 * square))
-        used += max(bar, width_squares(caption) * small) + ROWS * square
-    if used > right - left:
-        um = design.mask.database_unit_nm * 1e-3
-        expected = f"label and scale bar within {(right - left) * um:g} um"
-        raise _no_room(design, "label", expected, f"{used * um:g} um")
     return np.concatenate(rectangles)
 
 

@@ -43,7 +43,7 @@ class Chip:
     frame_um: NonNegative = 10.0  #: Width of the frame; 0 draws none.
     street_um: NonNegative = 100.0  #: Width of the dicing street outside the frame; 0 draws none.
     label: str | None = None  #: Text below the lens.
-    text_um: Positive = 40.0  #: Height of texts.
+    text_um: NonNegative = 40.0  #: Height of texts; 0 draws neither texts nor scale bar.
     scale_bar_um: NonNegative = 100.0  #: Length of the scale bar; 0 draws none.
     mark_layer: Index = 10  #: Layer of the crosses.
     frame_layer: Index = 11  #: Layer of the frame.

@@ -318,6 +318,24 @@ def test_what_does_not_fit_is_refused_by_its_key(change: dict[str, object], key:
         surroundings(_with(tiny_design, chip=replace(CHIP, **change)))
 
 
+def test_texts_fit_below_a_lens_that_is_narrower_than_the_margin(tiny_design: Design) -> None:
+    """As far as the lens is wide; a height of 0 draws neither texts nor scale bar, and other texts stay in place."""
+    lens_um = tiny_design.device.aperture_um
+    wide = replace(CHIP, margin_um=1.5 * lens_um, label="")
+
+    def text(chip: Chip) -> np.ndarray:
+        layers = surroundings(_with(tiny_design, chip=chip))
+        return np.concatenate([np.empty((0, 4)), *(one.rectangles for one in layers if one.layer == chip.text_layer)])
+
+    assert len(text(replace(wide, scale_bar_um=0.0))) == 0
+    assert len(text(replace(CHIP, text_um=0.0))) == 0
+    drawn = text(wide) * UNIT_UM
+    assert len(drawn)
+    assert -0.5 * lens_um < drawn[:, 0].min() < (drawn[:, 0] + drawn[:, 2]).max() < 0.5 * lens_um
+    with pytest.raises(InputError, match="shorten it"):
+        text(replace(wide, label="A LABEL THAT IS FAR TOO LONG"))
+
+
 def test_layers_must_differ() -> None:
     with pytest.raises(ValueError, match="layers of their own"):
         Mask(layer=10, chip=Chip())
