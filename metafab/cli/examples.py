@@ -4,6 +4,7 @@ from __future__ import annotations
 
 _RUN = "runs/helix_small"
 _MASK = f"{_RUN}/layout.oas --design layouts/helix_small.toml"
+_EXPOSED = f"{_RUN}/layout.oas --design layouts/helix_exposed.toml"
 
 #: Example of each command, by its name.
 EXAMPLES = {
@@ -18,8 +19,8 @@ EXAMPLES = {
     "library import": "metafab library import sweep.csv --unit-cell cell.toml --quantity field -o sweep.h5",
     "layout": "metafab layout layouts/helix_small.toml",
     "drc": f"metafab drc {_MASK}",
-    "expose": f"metafab expose {_MASK} --correct -o exposed",
-    "process fit": f"metafab process fit sem.csv {_MASK} -o process.toml",
+    "expose": f"metafab expose {_EXPOSED} --correct -o exposed",
+    "process fit": f"metafab process fit sem.csv {_EXPOSED} -o process.toml",
     "coupling": f"metafab coupling {_MASK} --at-um 30,0",
     "patch": f"metafab patch {_MASK} --at-um 30 0 --size-um 6",
     "fullwave": "metafab fullwave blocks.json --library unitcell_lib/sos_800nm.h5 --solver rcwa",
