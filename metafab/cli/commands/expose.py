@@ -94,7 +94,8 @@ def _described(psf: BeamPsf) -> dict[str, object]:
         "source": psf.source,
         "form": "sum over terms of weight / (pi range_nm^2) exp(-r^2 / range_nm^2)",
         "energy": "base_over_clearing_dose times the sum, over all pillars and all shapes counted in `beside`, of dose "
-        "times the integral of the form over the drawn shape; at edges the mean of the middles of both",
+        "times the integral of the form over the drawn shape; copies have their doses, layers of `beside` 1; at "
+        "edges the mean of the middles of both",
         "given": [asdict(term) for term in psf.terms],
         "blur_nm": psf.blur_nm,
         "fit_error": psf.fit_error,

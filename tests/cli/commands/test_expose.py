@@ -381,6 +381,14 @@ def test_light_of_printed_rectangles_on_a_hexagonal_lattice_is_refused(folder: P
     assert "cell.lattice" in answer.stderr
 
 
+def test_a_design_of_a_lens_alone_has_no_layers_to_expose_with_it(folder: Path, tmp_path: Path) -> None:
+    further = PROCESS + "with_layers = [99]\n"
+    path = design_file(tmp_path / "design.toml", SMALL, further, aperture_um="40.0", formats='["oas"]')
+    answer = metafab("expose", folder / "layout.oas", "--design", path, "--json")
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "it draws none, got 99" in answer.stderr
+
+
 def test_options_that_need_each_other(folder: Path, tmp_path: Path) -> None:
     common = ("expose", folder / "layout.oas", "--design", folder / "design.toml")
     lonely = metafab(*common, "--sample", "5")
