@@ -61,7 +61,10 @@ def psf_command(
     ] = None,
     angle_deg: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="X Y", help="Direction of one of the [[light]] tables [default: along the axis]."),
+        typer.Option(
+            metavar="X Y",
+            help="Direction of one of the [[light]] tables, in the medium of incidence [default: along the axis].",
+        ),
     ] = None,
     pixel_um: Annotated[float | None, typer.Option(metavar="P", help="Sampling step [default: the sensor's].")] = None,
     window_px: Annotated[
