@@ -16,6 +16,7 @@ def require_turnable(design: Design) -> None:
         "rules.cd_sigma_nm": rules.cd_sigma_nm > 0.0,
         "rules.neighbours": rules.neighbours,
         "rules.polarisation_independent": rules.polarisation_independent,
+        "rules.retardance": rules.retardance != "auto",
         "mask.tone": mask.tone == "inverted",
         "mask.draw_corners": mask.draw_corners and bool(cell.corner_radius_nm),
         "substrate": design.substrate is not None,

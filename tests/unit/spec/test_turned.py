@@ -26,7 +26,9 @@ def test_every_key_that_is_not_available_is_named(small_design: Design) -> None:
         small_design,
         unit_cell=dataclasses.replace(small_design.unit_cell, cell=cell),
         phase=(split, Grating(angle_deg=1.0)),
-        rules=dataclasses.replace(small_design.rules, gap_rule="pairs", polarisation_independent=True),
+        rules=dataclasses.replace(
+            small_design.rules, gap_rule="pairs", polarisation_independent=True, retardance="kept"
+        ),
         mask=dataclasses.replace(small_design.mask, tone="inverted"),
         optics=Optics(filter_fwhm_nm=10.0, substrate_um=300.0),
         scene=dataclasses.replace(small_design.scene, objects=(moving,), exposure_s=0.01, row_time_s=1e-5),
@@ -37,6 +39,7 @@ def test_every_key_that_is_not_available_is_named(small_design: Design) -> None:
         "unit_cell.cell.shape",
         "rules.gap_rule",
         "rules.polarisation_independent",
+        "rules.retardance",
         "mask.tone",
         "optics.filter_fwhm_nm",
         "optics.substrate_um",
