@@ -117,7 +117,9 @@ def train(
     samplers, rows = _samplers(library), library.unit_cell.neighbours.rows
     with Checkpoint(checkpoint, inputs_of_rows(library)) as record:
         solved = solve_rows(samplers, rows, record, executor or SerialExecutor(), progress)
-    lines = _fitted_lines([_Plan.of(*both) for both in zip(samplers, solved, strict=True)], executor, progress)
+    # One thread here as in worker processes: of threads in this one, the first to end a fit would free the others'.
+    with threadpool_limits(1):
+        lines = _fitted_lines([_Plan.of(*both) for both in zip(samplers, solved, strict=True)], executor, progress)
     along = [line for line, sampler in zip(lines, samplers, strict=True) if sampler.polarisation == "x"]
     across = [line for line, sampler in zip(lines, samplers, strict=True) if sampler.polarisation == "y"]
     inputs = inputs_of_training(library.unit_cell)
