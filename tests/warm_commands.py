@@ -24,33 +24,44 @@ from select import select
 ROOT = Path(__file__).parents[1]
 #: Modules that commands import when they run.
 MODULES = ("run", "report", "report.draw", "steps.images", "steps.optics", "exposure", "comparison", "tolerance")
+#: Environment in which the server imports: that before any test has changed it.
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 
 class WarmCommands:
     """A server process; each call runs ``metafab ARGUMENTS`` in a fork of it."""
 
     def __init__(self) -> None:
-        command, environment = [sys.executable, str(Path(__file__))], {**os.environ, "PYTHONPATH": str(ROOT)}
-        pipe = subprocess.PIPE
-        self._server = subprocess.Popen(command, stdin=pipe, stdout=pipe, env=environment, start_new_session=True)
+        command, pipe = [sys.executable, str(Path(__file__))], subprocess.PIPE
+        self._server = subprocess.Popen(
+            command, stdin=pipe, stdout=pipe, cwd=ROOT, env=ENVIRONMENT, start_new_session=True
+        )
         atexit.register(self.close)
 
     def __call__(self, arguments: list[str], cwd: Path | None, timeout_s: float) -> tuple[int, str, str]:
-        """Exit code (negative: signal), standard output and standard error; TimeoutExpired ends the server."""
+        """Exit code (negative: signal), standard output and standard error.
+
+        Any error ends the server, TimeoutExpired and KeyboardInterrupt among them: its answer would be taken for that
+        to the next call. RuntimeError if the server has ended by itself.
+        """
         assert self._server.stdin is not None and self._server.stdout is not None
         with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
             streams = [f"/proc/{os.getpid()}/fd/{stream.fileno()}" for stream in (out, err)]
             request = [arguments, str(cwd or Path.cwd()), dict(os.environ), streams]
-            self._server.stdin.write(json.dumps(request).encode() + b"\n")
-            self._server.stdin.flush()
-            if not select([self._server.stdout], [], [], timeout_s)[0]:
+            try:
+                self._server.stdin.write(json.dumps(request).encode() + b"\n")
+                self._server.stdin.flush()
+                if not select([self._server.stdout], [], [], timeout_s)[0]:
+                    raise subprocess.TimeoutExpired(arguments, timeout_s)
+                if not (line := self._server.stdout.readline()):
+                    raise RuntimeError("the server of warm commands ended; its standard error says why")
+            except BaseException:
                 self.close()
                 warm_commands.cache_clear()
-                raise subprocess.TimeoutExpired(arguments, timeout_s)
-            code = int(self._server.stdout.readline())
+                raise
             out.seek(0)
             err.seek(0)
-            return code, out.read().decode(), err.read().decode()
+            return int(line), out.read().decode(), err.read().decode()
 
     def close(self) -> None:
         """End the server and what it runs."""
@@ -89,7 +100,7 @@ def _run(arguments: list[str], folder: str, environment: dict[str, str], streams
     os.chdir(folder)
     os.environ.clear()
     os.environ.update(environment, PYTHONPATH=str(ROOT))
-    sys.argv = ["metafab", *arguments]
+    sys.argv, sys.path[0] = ["metafab", *arguments], folder
     runpy.run_module("metafab.cli", run_name="__main__", alter_sys=True)
 
 
