@@ -67,8 +67,8 @@ class MappingFigures:
     efficiency: float
     efficiency_x: float
     efficiency_y: float
-    #: Mean phase of y polarisation minus that of x, over the same of the design's targets; a free choice of the mapping
-    #: unless ``rules.retardance`` keeps it.
+    #: Retardance (mean phase of y polarisation minus that of x) less that of the design's targets, in (-pi, pi]; chosen
+    #: to suit the library unless ``rules.retardance`` keeps it.
     retardance_error_rad: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     #: That share by the library's model of neighbours, where sizes were chosen by it.
     neighbour_efficiency: float | None = field(default=None, metadata={"optional": True}, kw_only=True)

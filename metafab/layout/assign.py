@@ -37,8 +37,11 @@ KEPT_SITES = 1 << 27
 
 # Rows and columns that are sampled to choose the constant phases.
 _SAMPLED_LINES = 1000
-# Unit phasors, or amplitudes of x and y polarisation, that differ by less are the same.
-_SAME = 1e-6
+# Retardances (rad) that differ by less are equal: those of files in single precision, or with three decimals, differ by
+# less from place to place.
+_SAME_RAD = 1e-2
+# Amplitudes of x and y polarisation that differ by less are equal.
+_SAME_T = 1e-6
 
 
 @dataclass(frozen=True)
@@ -147,7 +150,7 @@ def mapping_of(
     choice = neighbour_choice(library, design, each)
     of_lights = _light_choice(lights, each, aperture, design.rules.retardance) if lights else None
     if of_lights is None:
-        keeps = keeps_retardance(_sampled_targets(profile, aperture), each, design.rules.retardance)
+        keeps = _keeps_retardance(_sampled_targets(profile, aperture), each, design.rules.retardance)
         offsets = constant_phases(profile, each, aperture, keep_retardance=keeps)
     else:
         own = [light.key for light in design.light].index((design.unit_cell.illumination.wavelength_nm, 0.0, 0.0))
@@ -158,7 +161,7 @@ def mapping_of(
     return TileMapping(profile, table, aperture, offsets, tile_sites(design), joint, choice, of_lights, outline)
 
 
-def keeps_retardance(target_rad: FloatArray, table: SizeTable, rule: Literal["auto", "kept", "free"]) -> bool:
+def _keeps_retardance(target_rad: FloatArray, table: SizeTable, rule: Literal["auto", "kept", "free"]) -> bool:
     """Whether one constant phase serves both polarisations, so that their relative phase is that of the targets.
 
     ``target_rad``, shape (2, n), holds target phases of a sample of sites. With the rule "auto", a constant difference
@@ -166,12 +169,12 @@ def keeps_retardance(target_rad: FloatArray, table: SizeTable, rule: Literal["au
     respond equally to both.
     """
     relative = np.exp(1j * (target_rad[1] - target_rad[0]))
-    is_plate = bool(np.all(np.abs(relative - relative[:1]) < _SAME) and np.any(np.abs(relative - 1.0) > _SAME))
+    is_plate = bool(np.all(np.abs(relative - relative[:1]) < _SAME_RAD) and np.any(np.abs(relative - 1.0) > _SAME_RAD))
     keeps = rule == "kept" or (rule == "auto" and is_plate)
-    if keeps and is_plate and np.abs(table.t[:, 1] - table.t[:, 0]).max() <= _SAME:
+    if keeps and is_plate and np.abs(table.t[:, 1] - table.t[:, 0]).max() <= _SAME_T:
         expected = "one phase for x and y polarisation, to which all sizes that may be used respond equally"
         got = f"a retardance of {np.angle(relative[0]):.3g} rad"
-        remedy = "use rectangles or ellipses, not squares or circles"
+        remedy = 'use rectangles or ellipses, not squares or circles, or give it up by `rules.retardance = "free"`'
         raise InputError.single("layout", "phase", expected, got, remedy)
     return keeps
 
@@ -183,7 +186,7 @@ def _light_choice(
     sizes = SizesOfLights.of(table, [light.library for light in lights], [light.weight for light in lights])
     profiles = tuple(light.profile for light in lights)
     targets = np.concatenate([_sampled_targets(profile, aperture) for profile in profiles]).reshape(len(lights), 2, -1)
-    keeps = [keeps_retardance(target, own, retardance) for target, own in zip(targets, sizes.tables, strict=True)]
+    keeps = [_keeps_retardance(target, own, retardance) for target, own in zip(targets, sizes.tables, strict=True)]
     return LightChoice(profiles, sizes, sizes.constant_phases(targets, keeps))
 
 

@@ -66,13 +66,14 @@ def test_no_other_size_would_overlap_much_better(
 
 @dataclass(frozen=True)
 class WavePlate:
-    """A lens that retards y polarisation by a constant phase."""
+    """A lens that retards y polarisation by a constant phase, in single precision as in a file of phases."""
 
     retardance_rad: float
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         path = np.sqrt(x_um[None, :] ** 2 + y_um[:, None] ** 2 + 200.0**2)
-        return -2.0 * np.pi / 0.8 * path + (self.retardance_rad if polarisation == "y" else 0.0)
+        phase = -2.0 * np.pi / 0.8 * path + (self.retardance_rad if polarisation == "y" else 0.0)
+        return phase.astype(np.float32).astype(np.float64)
 
 
 @pytest.mark.parametrize(
