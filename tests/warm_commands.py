@@ -24,8 +24,9 @@ from select import select
 ROOT = Path(__file__).parents[1]
 #: Modules that commands import when they run.
 MODULES = ("run", "report", "report.draw", "steps.images", "steps.optics", "exposure", "comparison", "tolerance")
-#: Environment in which the server imports: that before any test has changed it.
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+#: Environment in which the server imports: that before any test has changed it, and one thread of linear algebra, which
+#: a command sets before it imports NumPy.
+ENVIRONMENT = {"OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", **os.environ, "PYTHONPATH": str(ROOT)}
 
 
 class WarmCommands:
