@@ -186,6 +186,7 @@ def _fitted_lines(plans: Sequence[_Plan], executor: Executor | None, progress: P
     ahead = 1 if isinstance(calls, SerialExecutor) else STARTS * len(plans)
     count, starts, lines = (STARTS + 1) * len(plans), [], []
     tasks = [(plan, seed) for plan in plans for seed in range(STARTS)]
+    progress("fit of the chains", 0, count)
     for model in in_order(calls, _start, tasks, ahead=ahead):
         starts.append(model)
         progress("fit of the chains", len(starts), count)
