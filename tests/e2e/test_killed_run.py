@@ -66,7 +66,8 @@ def untimed(folder: Path) -> dict[str, object]:
 @pytest.mark.slow
 def test_a_killed_run_is_taken_up_again(design: Path, tmp_path: Path) -> None:
     start, undisturbed = time.perf_counter(), design.parent / "run"
-    whole = metafab("run", design, "-o", undisturbed, "--workers", "1", "--json")
+    # As long as those that are killed, imports included.
+    whole = metafab("run", design, "-o", undisturbed, "--workers", "1", "--json", fresh=True)
     assert whole.code == 0, whole.stderr
     seconds = time.perf_counter() - start
     moments = random.Random(2023)
