@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.cell import is_square
+from metafab.cell import PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.axes import CornerBox, corner_cell
@@ -32,6 +32,7 @@ from metafab.library.use.any_size import (
     response_of_sizes,
     solved_amplitudes,
     solver_error,
+    swaps_polarisations,
 )
 from metafab.optics.sources.source import WrittenField, made_field
 
@@ -102,7 +103,7 @@ def fields_at(
     for plan, corner in zip([nominal, *plans], [{}, *(corner for _, corner in corners)], strict=True):
         for slices, chosen in ((_SLICES, plan.solved), (_SLICES // 2, plan.checked)):
             for width_nm, length_nm in sizes.size_nm[chosen].tolist():
-                tasks.append((corner_cell(library.unit_cell, width_nm, length_nm, corner), slices))
+                tasks.append((_cell(library, width_nm, length_nm, corner), slices))
     amplitudes = solved_amplitudes(tasks, executor, progress)
     before, *after = np.split(amplitudes, np.cumsum([plan.count for plan in (nominal, *plans)])[:-1])
     return [
@@ -160,7 +161,7 @@ class MaskSizes:
         index = np.flatnonzero(counts[1:]) + 1
         size_nm, count = pillars.size_nm()[index], counts[index]
         stored = response_of_sizes(library, size_nm)
-        samples = min(_SAMPLES if is_square(library.unit_cell) else 2 * _SAMPLES, index.size)
+        samples = min(_SAMPLES if swaps_polarisations(library) else 2 * _SAMPLES, index.size)
         # Without slopes over the sizes no change can be fitted: every size is solved.
         samples = samples if library.is_continuous else index.size
         chosen = np.random.default_rng(0).choice(index.size, samples, replace=False, p=count / count.sum())
@@ -217,14 +218,12 @@ class MaskSizes:
     ) -> tuple[ComplexArray, float]:
         """Amplitudes of biased sizes: solved beyond the sweep, from the surface of the library inside."""
         mirrored = np.zeros(solved.size, dtype=bool)
-        if is_square(library.unit_cell):
+        if swaps_polarisations(library):
             mirrored = self.mirror[solved] < self.index.size
         images = self.mirror[solved[mirrored]]
         inside = np.setdiff1d(np.arange(self.index.size), np.concatenate([solved, images]))
         bias = {"cd_bias_nm": bias_nm}
-        tasks = [
-            (corner_cell(library.unit_cell, w, length, bias), _SLICES) for w, length in self.size_nm[solved].tolist()
-        ]
+        tasks = [(_cell(library, w, length, bias), _SLICES) for w, length in self.size_nm[solved].tolist()]
         t, error = np.empty_like(self.t), np.full(self.index.size, solver_error(tasks, after))
         if inside.size:
             found = library.surface if library.is_continuous else library.at_sizes
@@ -241,7 +240,7 @@ class MaskSizes:
             return self.t * (after / before), SOLVER_ERROR
         basis = self._basis(library)
         fitted, residuals = np.empty_like(self.t), []
-        groups = [(0, 1)] if is_square(library.unit_cell) else [(0,), (1,)]
+        groups = [(0, 1)] if swaps_polarisations(library) else [(0,), (1,)]
         for group in groups:
             columns = np.concatenate([basis[p][self.sample] for p in group])
             change = np.concatenate([after[:, p] - before[:, p] for p in group])
@@ -278,6 +277,11 @@ class MaskSizes:
         return columns
 
 
+def _cell(library: Library, width_nm: float, length_nm: float, corner: Mapping[str, float]) -> PillarCell:
+    """Cell of a pillar at a corner; axes that it does not name, such as the angle, have the library's values."""
+    return corner_cell(library.unit_cell, width_nm, length_nm, {**library.corner, **corner})
+
+
 def _plan(sizes: MaskSizes, library: Library, corner: Mapping[str, float]) -> _Plan:
     """Sizes of the mask that must be solved at a corner."""
     if _in_library(library, corner):
@@ -290,7 +294,7 @@ def _plan(sizes: MaskSizes, library: Library, corner: Mapping[str, float]) -> _P
     is_ring = library.unit_cell.cell.shape == "ring"
     outside = np.flatnonzero(is_ring | must_be_solved(library, sizes.size_nm + bias_nm))
     # Of a size and its mirror image, one is solved.
-    return _Plan(outside[sizes.mirror[outside] >= outside] if is_square(library.unit_cell) else outside)
+    return _Plan(outside[sizes.mirror[outside] >= outside] if swaps_polarisations(library) else outside)
 
 
 def _in_library(library: Library, corner: Mapping[str, float]) -> bool:

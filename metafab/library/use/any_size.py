@@ -19,6 +19,7 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.core.parallel.progress import Progress, silent
+from metafab.library.axes import incidence
 from metafab.library.library import Library
 from metafab.library.surface import SizeResponse
 
@@ -99,6 +100,11 @@ def _least_converged(tasks: Sequence[tuple[PillarCell, int]], amplitudes: Comple
     return [spread[place] for place in np.argsort(change)[-_JUDGED:]]
 
 
+def swaps_polarisations(library: Library) -> bool:
+    """Whether swapping width and length swaps the polarisations and nothing else: a square cell, light along z."""
+    return is_square(library.unit_cell) and not incidence(library.corner)["angle_deg"]
+
+
 def response_of_sizes(library: Library, size_nm: FloatArray, executor: Executor | None = None) -> SizeResponse:
     """Return the transmission of any sizes: positive widths and lengths, shape (n, 2).
 
@@ -142,7 +148,7 @@ def must_be_solved(library: Library, size_nm: FloatArray) -> NDArray[np.bool_]:
 def _solved(library: Library, beyond: FloatArray, executor: Executor | None) -> tuple[ComplexArray, float]:
     """Amplitudes of solved sizes, shape (n, 2), and their error."""
     # A square cell's response is that of its mirror image, x and y exchanged.
-    swapped = (beyond[:, 0] < beyond[:, 1]) & is_square(library.unit_cell)
+    swapped = (beyond[:, 0] < beyond[:, 1]) & swaps_polarisations(library)
     solved, number = np.unique(np.where(swapped[:, None], beyond[:, ::-1], beyond), axis=0, return_inverse=True)
     if len(solved) > MOST_SOLVED:
         sweep = f"{library.width_nm[0]:g} to {library.width_nm[-1]:g} nm"

@@ -84,6 +84,24 @@ def test_few_cells_tell_all(
     assert corner.error < bound * corner.change + 3e-3
 
 
+def test_corners_of_slanting_light_are_solved_in_it(small_library: Library) -> None:
+    """Two sizes, each other's mirror images: with all sizes solved, the field changes as the solved amplitudes do."""
+    slanting = replace(small_library, corner={"angle_x_deg": 20.0})
+    sizes = np.array([[0, 0], [240, 300], [300, 240]], dtype=np.int32)
+    index = np.array([[1, 2], [2, 1]], dtype=np.uint16)
+    pillars = PillarMap.from_array(Lattice((700, 700), (2, 2), 0.5), sizes, index, 50)
+    taller = corner_fields(written_field(pillars, slanting), slanting, {"height_nm": 10.0})[1]
+    tasks = [
+        (corner_cell(small_library.unit_cell, *size, {"angle_x_deg": 20.0, **corner}), 8)
+        for corner in ({}, {"height_nm": small_library.unit_cell.cell.height_nm + 10.0})
+        for size in ((120.0, 150.0), (150.0, 120.0))
+    ]
+    before, after = solved_amplitudes(tasks).reshape(2, 2, 2)
+    own = written_field(pillars, slanting).table
+    np.testing.assert_allclose(taller.field.table[1:] / own[1:], after / before, rtol=1e-12)
+    assert np.abs(after[0, 0] / before[0, 0] - after[1, 1] / before[1, 1]) > 1e-3
+
+
 @pytest.fixture(scope="module")
 def table(written: WrittenField, small_library: Library) -> ToleranceTable:
     asked = Tolerances(cd_bias_nm=4.0, sidewall_deg=0.0, stitching_nm=20.0, draws=6)

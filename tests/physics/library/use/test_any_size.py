@@ -44,6 +44,16 @@ def test_solved_sizes_continue_the_library(library: Library) -> None:
     assert found.t_xx[0] == found.t_yy[1]
 
 
+def test_under_slanting_light_mirror_images_are_solved_apart(library: Library) -> None:
+    slanting = replace(library, corner={"angle_x_deg": 20.0})
+    sizes = np.array([[170.0, 130.0], [130.0, 170.0]])
+    found = response_of_sizes(slanting, sizes)
+    cells = [(slanting.pillar(width, length), 8) for width, length in sizes.tolist()]
+    assert all(cell.angle_deg == 20.0 for cell, _ in cells)
+    np.testing.assert_array_equal(np.stack([found.t_xx, found.t_yy], axis=1), any_size.solved_amplitudes(cells))
+    assert abs(found.t_xx[0] - found.t_yy[1]) > 0.02
+
+
 def test_a_mask_far_beyond_the_library_is_refused(library: Library) -> None:
     side = np.linspace(161.0, 300.0, 100)
     sizes = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
