@@ -33,8 +33,8 @@ _MIDDLE_PERIODS = 0.3
 #: (rows, columns) of sites whose energy is summed in closed form: all nearer than two distances of neighbours. Columns
 #: of a hexagonal lattice are half of that distance apart.
 _NEAR, _NEAR_HEXAGONAL = (1, 1), (2, 3)
-#: Ranges after which a Gaussian is left out of a direct sum: below 1e-11 of its peak.
-_DIRECT_REACH = 5.0
+#: Energy of a large pad that each Gaussian of a direct sum leaves out at most, beyond its reach.
+_LEFT_OUT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -120,11 +120,12 @@ class ResistEnergy:
         points += 1e3 * np.array([self._lattice.x_um()[column], self._lattice.y_um()[row]])
         energy = self._direct(dose, points)
         if self.beside is not None:
-            reach_nm = _DIRECT_REACH * float(self.psf.range_nm.max())
+            reach_nm = float(self._reach_nm.max())
             figures = replace(self.beside, lenses=())
+            gaussians = (self.psf.weight, self.psf.range_nm, self._reach_nm)
             box_nm = np.concatenate([points.min(axis=0) - reach_nm, points.max(axis=0) + reach_nm])
             for rectangles, doses in figures.parts(dose, box_nm):
-                energy += _sum_rectangles(rectangles, doses, self.psf.weight, self.psf.range_nm, points)
+                energy += _sum_rectangles(rectangles, doses, *gaussians, points)
             for lens in self.beside.lenses:
                 other = ResistEnergy(lens.pillars, self.psf, self.beside.outline)
                 scale = np.float32(lens.dose / self.beside.lens_dose)
@@ -133,7 +134,7 @@ class ResistEnergy:
 
     def _direct(self, dose: Float32Array, points_nm: FloatArray) -> FloatArray:
         """Energy of the pillars at points near one another, shape (n, 2), from the axis of the lens: shape (n,)."""
-        reach_nm = _DIRECT_REACH * float(self.psf.range_nm.max()) + float(self.size_nm.max())
+        reach_nm = float(self._reach_nm.max()) + float(self.size_nm.max())
         part, first_nm = [], []
         for axis, at_um in enumerate((self._lattice.x_um(), self._lattice.y_um())):
             low, high = 1e-3 * (points_nm[:, axis].min() - reach_nm), 1e-3 * (points_nm[:, axis].max() + reach_nm)
@@ -147,18 +148,24 @@ class ResistEnergy:
         return np.asarray(rows.sum(axis=0))
 
     @cached_property
-    def _rectangles(self) -> tuple[FloatArray, FloatArray]:
-        """Ranges of Gaussians, shape (n,), and of each the rectangles of all sizes: shape (n, n_sizes, 4).
+    def _reach_nm(self) -> FloatArray:
+        """Distance beyond which a direct sum leaves out each Gaussian, shape (n,): a pad beyond it has 1e-9."""
+        return np.asarray(self.psf.range_nm * np.sqrt(np.log(np.maximum(np.abs(self.psf.weight) / _LEFT_OUT, 1.0))))
+
+    @cached_property
+    def _rectangles(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Ranges of Gaussians and their reaches, shape (n,), and the rectangles of all sizes: shape (n, n_sizes, 4).
 
         A rectangle has its weight, its half width and its lower and upper end. Round outlines have steps of half the
         size of those in the tables, so that the difference from :meth:`direct` shows the error of both.
         """
-        ranges, table = [], []
-        for weight, beta in zip(self.psf.weight, self.psf.range_nm, strict=True):
+        ranges, reaches, table = [], [], []
+        for weight, beta, reach in zip(self.psf.weight, self.psf.range_nm, self._reach_nm, strict=True):
             for part in self.shapes.parts(beta, finer=2):
                 ranges.append(beta)
+                reaches.append(reach)
                 table.append(np.stack([weight * part.share, part.half_width_nm, part.low_nm, part.high_nm], axis=1))
-        return np.array(ranges), np.array(table)
+        return np.array(ranges), np.array(reaches), np.array(table)
 
     def _long_range(self, dose: Float32Array, executor: Executor, further: BesideEnergy | None) -> LongRange | None:
         if self._long_psf.range_nm.size == 0:
@@ -223,14 +230,14 @@ def _sum_rows(
     period_x_nm: float,
     period_y_nm: float,
     range_nm: FloatArray,
+    reach_nm: FloatArray,
     rectangles: FloatArray,
     points_nm: FloatArray,
     energy: FloatArray,
 ) -> None:
     """Add each row's energy at ``points_nm`` (n, 2), from the centre of the first site, to ``energy`` (n_rows, n).
 
-    Rectangles are those of :attr:`ResistEnergy._rectangles`, by ascending range. A Gaussian is left out beyond five of
-    its ranges, where it is below 1e-11 of its peak.
+    Rectangles are those of :attr:`ResistEnergy._rectangles`. A Gaussian is left out beyond its reach.
     """
     for row in range(first, behind):
         for column in range(size_index.shape[1]):
@@ -240,12 +247,13 @@ def _sum_rows(
             for k in range(len(points_nm)):
                 x = points_nm[k, 0] - column * period_x_nm
                 y = points_nm[k, 1] - row * period_y_nm
-                distance = max(abs(x), abs(y)) - 0.5 * largest_nm
+                # From the nearest point that the largest shape may have.
+                distance = math.hypot(x, y) - math.sqrt(0.5) * largest_nm
                 total = 0.0
-                for n in range(range_nm.size - 1, -1, -1):
+                for n in range(range_nm.size):
+                    if distance > reach_nm[n]:
+                        continue
                     beta = range_nm[n]
-                    if distance > 5.0 * beta:
-                        break
                     weight, half, low, high = rectangles[n, size]
                     along_x = math.erf((x + half) / beta) - math.erf((x - half) / beta)
                     along_y = math.erf((y - low) / beta) - math.erf((y - high) / beta)
@@ -255,7 +263,12 @@ def _sum_rows(
 
 @compiled
 def _sum_rectangles(
-    rectangles: FloatArray, doses: FloatArray, weight: FloatArray, range_nm: FloatArray, points_nm: FloatArray
+    rectangles: FloatArray,
+    doses: FloatArray,
+    weight: FloatArray,
+    range_nm: FloatArray,
+    reach_nm: FloatArray,
+    points_nm: FloatArray,
 ) -> FloatArray:
     """Energy of rectangles (left, bottom, right, top) at ``points_nm`` (n, 2): shape (n,)."""
     energy = np.zeros(len(points_nm))
@@ -264,10 +277,10 @@ def _sum_rectangles(
         for k in range(len(points_nm)):
             x, y = points_nm[k]
             away = max(left - x, x - right, bottom - y, y - top)
-            for n in range(range_nm.size - 1, -1, -1):
+            for n in range(range_nm.size):
+                if away > reach_nm[n]:
+                    continue
                 beta = range_nm[n]
-                if away > _DIRECT_REACH * beta:
-                    break
                 along_x = math.erf((x - left) / beta) - math.erf((x - right) / beta)
                 along_y = math.erf((y - bottom) / beta) - math.erf((y - top) / beta)
                 energy[k] += 0.25 * doses[number] * weight[n] * along_x * along_y
