@@ -6,33 +6,39 @@ from pathlib import Path
 
 from metafab.core.storage.limits import beyond, limit
 
-#: Default of the limit ``memory_mb``, bytes: for a file without sites, and for each site. A pillar takes up to 76
-#: bytes, in one or two passes.
-_BYTES, _BYTES_OF_A_SITE = 1 << 30, 1024
-#: Default of the limit ``seconds``: for any file, for each byte of it, and for each site. A file by other software may
-#: hold a polygon of its own for each pillar.
-_SECONDS, _SECONDS_OF_A_BYTE, _SECONDS_OF_A_SITE = 4.0, 4e-7, 1e-4
+#: Default of the limit ``memory_mb``, bytes, for a block or a list.
+_BYTES = 256e6
+#: Default of the limit ``seconds``: for any file or for each byte of it, whichever is more, and for each site.
+_SECONDS, _SECONDS_OF_A_BYTE, _SECONDS_OF_A_SITE = 2.5, 2.5e-7, 1e-7
+#: Estimated processor time, s, of a byte of a block or a list, of a pillar at its place, and of another shape there.
+_SECONDS_TO_INFLATE, _SECONDS_OF_A_PLACE, _SECONDS_OF_AN_OTHER = 1.5e-9, 1e-7, 4e-6
 
 
 class Budget:
     """Bytes of inflated blocks and of lists, and processor time by records, which all passes over a file share.
 
-    ``sites`` are the design's.
+    ``sites`` are the design's. A block or list is given back before the next, unless the file is ``held`` as a whole.
     """
 
-    def __init__(self, path: Path, sites: int) -> None:
+    def __init__(self, path: Path, sites: int, *, held: bool = False) -> None:
         self._source = str(path)
-        self._most_mb = limit("memory_mb", 1e-6 * (_BYTES + _BYTES_OF_A_SITE * sites))
-        default_s = max(_SECONDS, _SECONDS_OF_A_BYTE * path.stat().st_size, _SECONDS_OF_A_SITE * sites)
+        self._held = held
+        self._most_mb = limit("memory_mb", 1e-6 * _BYTES)
+        default_s = max(_SECONDS, _SECONDS_OF_A_BYTE * path.stat().st_size) + _SECONDS_OF_A_SITE * sites
         self._most_s = limit("seconds", default_s)
         self._mb = self._seconds = 0.0
 
     def inflate(self, size: int) -> None:
-        """Spend bytes that a block or a list expands to; InputError for more than the limit ``memory_mb``."""
-        self._mb += 1e-6 * size
+        """Spend bytes that a block or a list expands to; InputError for more than the limits of memory or time."""
+        self._mb = 1e-6 * size + (self._mb if self._held else 0.0)
         if self._mb > self._most_mb:
             expected = f"blocks and lists of at most {self._most_mb:.0f} MB"
             raise beyond(self._source, "file", "memory_mb", expected, "more")
+        self.work(_SECONDS_TO_INFLATE * size)
+
+    def place(self, pillars: int, others: int = 0) -> None:
+        """Spend the time to put shapes at their places; InputError for more than the limit ``seconds``."""
+        self.work(_SECONDS_OF_A_PLACE * pillars + _SECONDS_OF_AN_OTHER * others)
 
     def work(self, seconds: float) -> None:
         """Spend processor time, an estimate for what is read next; InputError for more than the limit ``seconds``."""

@@ -35,6 +35,9 @@ _GDSII_BEGINNING = b"\x00\x06\x00\x02"
 #: Sites for the budget of a design without a lattice: a lens of 1.4 mm.
 _SITES_WITHOUT_LATTICE = 1 << 24
 
+#: Estimated processor time of a chunk of shapes, s, whatever is in it.
+_SECONDS_OF_A_CHUNK = 5e-5
+
 # Parts of up to this many shapes are decoded ahead and held in memory.
 _AHEAD_SHAPES = 1 << 19
 
@@ -131,7 +134,8 @@ def read_shapes(path: Path, design: Design, progress: Progress = silent, *, know
         hierarchy = Hierarchy(reader.cells, str(path))
         count = hierarchy.count()
         _refuse_many(path, count, _most_shapes(design))
-    return Shapes(reader.unit_nm, count, hierarchy.other_layers(), hierarchy.tops, lambda: _chunks(hierarchy))
+        reader.budget.place(count)
+    return Shapes(reader.unit_nm, count, hierarchy.other_layers(), hierarchy.tops, lambda: _chunks(hierarchy, reader))
 
 
 def _open(
@@ -166,6 +170,8 @@ def _recover(
     total = hierarchy.count()
     most = _most_shapes(design)
     _refuse_many(path, total, most)
+    if reader.is_counted:
+        reader.budget.place(total)
     recovery, *further = (
         Recovery(lattice, ratio, str(path), (place.x_dbu, place.y_dbu))
         for place in (place, *(lens_copy(design, number) for number in along))
@@ -175,7 +181,7 @@ def _recover(
     boxes: dict[str, list[IntArray]] = {}
     done = 0
     crosses = design.unit_cell.cell.shape == "cross"
-    for chunk in _chunks(hierarchy):
+    for chunk in _chunks(hierarchy, reader):
         pillars = _wide_crosses(chunk.rectangles) if crosses else chunk.rectangles
         own, of_copies = others.apart(pillars, chunk.shift)
         recovery.add(own, chunk.shift)
@@ -184,7 +190,9 @@ def _recover(
         for other in chunk.others:
             _add_foreign(other, foreign, boxes)
         done += len(chunk.rectangles)
-        _refuse_many(path, done, most)  # The total was an estimate where blocks were skipped.
+        if not reader.is_counted:  # The total was an estimate: blocks were skipped.
+            _refuse_many(path, done, most)
+            reader.budget.place(len(chunk.rectangles))
         progress("reading", min(done, total), total)
     progress("reading", total, total)
 
@@ -250,7 +258,7 @@ def _refuse_many(path: Path, count: int, most: float) -> None:
         raise beyond(str(path), "shapes", "shapes", f"at most {most:g}", str(count), "is it another design's?")
 
 
-def _chunks(hierarchy: Hierarchy) -> Iterator[Chunk]:
+def _chunks(hierarchy: Hierarchy, reader: GdsiiReader | OasisReader) -> Iterator[Chunk]:
     """All chunks in the order of the file; parts of a tile's size are decoded ahead by threads."""
 
     def decode(part: Part) -> Iterator[Chunk]:
@@ -259,7 +267,10 @@ def _chunks(hierarchy: Hierarchy) -> Iterator[Chunk]:
 
     with ThreadPoolExecutor(default_workers()) as threads:
         for chunks in in_order(threads, decode, hierarchy.parts(), ahead=default_workers() + 1):
-            yield from chunks
+            for chunk in chunks:
+                reader.budget.work(_SECONDS_OF_A_CHUNK)
+                reader.budget.place(0, others=len(chunk.others))
+                yield chunk
 
 
 def format_of(path: Path) -> Format:

@@ -210,7 +210,7 @@ def _opened(design: Design, key: str, path: Path) -> gdstk.Library:
         with path.open("rb") as stream:
             is_oasis = stream.read(6) == b"%SEMI-"
         with limited(**design.stated_limits), limited(memory_mb=_MOST_MB):
-            budget = Budget(path, sites=0)
+            budget = Budget(path, sites=0, held=True)
             if is_oasis:
                 OasisReader(path, _NO_LAYER, skip_blocks=False, budget=budget)
             else:

@@ -65,6 +65,8 @@ class GdsiiReader:
     Attributes:
         cells: cells by name.
         unit_nm: size of a database unit.
+        budget: what all passes may take.
+        is_counted: whether the numbers of shapes are exact, which they are.
 
     Raises:
         InputError: the file is truncated, damaged or foreign.
@@ -79,7 +81,8 @@ class GdsiiReader:
         known: KnownShapes = RECTANGLES,
         budget: Budget | None = None,
     ) -> None:
-        self._budget = budget or Budget(path, 1 << 24)
+        self.budget = budget or Budget(path, 1 << 24)
+        self.is_counted = True
         self._path = path
         self._known = known
         self._layer = layer
@@ -102,7 +105,7 @@ class GdsiiReader:
                 if not 0.0 < self.unit_nm < 1e6:
                     raise self._damaged("a database unit", f"{self.unit_nm} nm")
             elif kind == records.STRNAME:
-                self._budget.work(_SECONDS_OF_A_CELL)
+                self.budget.work(_SECONDS_OF_A_CELL)
                 name = data.rstrip(b"\0").decode("latin-1")
                 if name in self.cells:
                     raise self._damaged("cells of different names", f"two of the name {name!r}")
@@ -127,7 +130,7 @@ class GdsiiReader:
 
     def _element(self, window: Window, start: int, kind: int, cell: Cell, runs: list[_Run]) -> int:
         """Add the run of elements that begins at ``start`` to a cell; return the position behind the run."""
-        self._budget.work(_SECONDS_OF_A_RUN)
+        self.budget.work(_SECONDS_OF_A_RUN)
         fields: dict[int, bytes] = {}
         position, xy = start, (0, 0)
         record = kind
@@ -225,7 +228,7 @@ class GdsiiReader:
 
     def _shapes(self, runs: list[_Run]) -> Iterator[Chunk]:
         for run in runs:
-            self._budget.work(_SECONDS_OF_SHAPES)
+            self.budget.work(_SECONDS_OF_SHAPES)
             if run.kind == records.PATH:
                 yield from (_paths(run, points, self._known) for points in self._coordinates(run))
             elif run.kind not in {records.BOUNDARY, records.BOX} or run.xy[1] != 10 or not self._known.are_rectangles:

@@ -23,7 +23,7 @@ from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.scratch import release
 from metafab.mask.budget import Budget
-from metafab.mask.oasis.elements import DamagedError, Stream
+from metafab.mask.oasis.elements import Copies, DamagedError, Stream
 from metafab.mask.oasis.records import POLYGON, RECTANGLE
 from metafab.mask.oasis.rectangles import LARGEST_CHUNK, RUN, read_rectangles
 from metafab.mask.oasis.shapes import SHAPES, Modal, read_shape
@@ -40,11 +40,19 @@ _REMEDY = "the file is damaged or not OASIS: write or export it again"
 _LARGEST_BLOCK = 1 << 31
 #: Bytes of the file after which its pages are given back.
 _RELEASED = 1 << 26
-#: Estimated processor time of a record in Python, s, by its kind: shapes and placements take the longest.
-_SECONDS_OF_A_RECORD = {_XYABSOLUTE: 1e-6, XYRELATIVE: 1e-6, 28: 4e-6, 29: 1e-6, _TEXT: 6e-6}
+#: Estimated processor time of a record in Python, s, by its kind: cells and blocks take the longest.
+_SECONDS_OF_A_RECORD = {
+    _XYABSOLUTE: 2e-6, XYRELATIVE: 2e-6, 28: 5e-6, 29: 2.2e-6, 32: 5e-6, _TEXT: 4.5e-6, PLACEMENT: 5e-6,
+    _CELL_BY_NUMBER: 2.5e-5, CELL: 2.5e-5, CBLOCK: 4e-5, **dict.fromkeys(_TABLES, 4e-6),
+}  # fmt: skip
 _SECONDS_OF_A_SHAPE = 1.2e-5
-#: The same of a shape that is compared with the pillars, besides.
-_SECONDS_OF_A_PILLAR = 4e-5
+#: The same besides: of a repetition, of placements that stand next to each other, and of a shape that is compared with
+#: the pillars.
+_SECONDS_OF_A_REPETITION, _SECONDS_OF_A_REFERENCE, _SECONDS_OF_A_PILLAR = 6e-6, 1e-5, 4e-5
+#: The same of a compiled run, and of each rectangle in it.
+_SECONDS_OF_A_RUN, _SECONDS_OF_A_RECTANGLE = 8e-6, 5e-9
+#: Shapes of a chunk that take as much memory as one that is not a pillar.
+_PILLARS_OF_AN_OTHER = 16
 _LARGEST_RATIO = 1032  # Deflate needs at least two bits for 258 bytes.
 
 
@@ -67,6 +75,7 @@ class OasisReader:
     Attributes:
         cells: cells by name.
         unit_nm: size of a database unit.
+        is_counted: whether the numbers of shapes are exact: no block was skipped.
 
     Raises:
         InputError: the file is truncated, damaged or foreign.
@@ -84,6 +93,7 @@ class OasisReader:
     ) -> None:
         self.budget = budget or Budget(path, 1 << 24)
         self.skip_blocks = skip_blocks
+        self.is_counted = True
         self.known = known
         self.pillar_kind = RECTANGLE if known.are_rectangles else POLYGON
         self.layer = layer
@@ -166,6 +176,7 @@ class _Pass:
         self._implicit_names = 0
         self._rectangles: list[IntArray] = []
         self._others: list[Other] = []
+        self._unplaced: Iterator[None] = iter(())  # places the copies of the last shape, a block at a time
         #: Cell, orientation, and x and y of the placements that are not yet among the references.
         self._placed: tuple[str, Orientation | None, array[int]] | None = None
         if place is not None:
@@ -191,7 +202,8 @@ class _Pass:
             self._stream.position += 1
             if kind == END or not self._record(kind):
                 break
-            yield from self._flush(LARGEST_CHUNK)
+            for _ in self._unplaced:
+                yield from self._flush(LARGEST_CHUNK)
         self._add_reference()
         yield from self._flush(1)
 
@@ -200,7 +212,8 @@ class _Pass:
         position = (self._outer or self._stream).position
         self._reader.passed(position - self._passed)
         self._passed = position
-        if self._indexing or sum(map(len, self._rectangles)) + len(self._others) < at_least:
+        count = sum(map(len, self._rectangles)) + _PILLARS_OF_AN_OTHER * len(self._others)
+        if self._indexing or count < at_least:
             return
         rectangles = self._rectangles or [np.empty((0, 4), dtype=np.int64)]
         yield Chunk(np.concatenate(rectangles) if len(rectangles) > 1 else rectangles[0], tuple(self._others))
@@ -257,6 +270,7 @@ class _Pass:
             if self._pillars_only and self._indexing and self._cell is not None:
                 # An upper bound: a pillar of a list takes at least one byte.
                 self._cell.shape_count += size
+                self._reader.is_counted = False
                 self._pillars_only = False
                 return
             self._reader.budget.inflate(size)
@@ -331,7 +345,7 @@ class _Pass:
         modal.placement = modal.read_position(stream, modal.placement, bool(info & 0b10_0000), bool(info & 0b1_0000))
         if not math.isfinite(quarters):
             raise DamagedError(f"a placement that is turned by {90.0 * quarters} degrees")
-        copies = modal.read_repetition(stream, bool(info & 0b1000))
+        copies = self._repetition(bool(info & 0b1000))
         if not self._indexing:
             return
         exact = not magnified and abs(quarters - round(quarters)) < 1e-9
@@ -342,6 +356,7 @@ class _Pass:
         if copies.count == 1:
             self._placed[2].extend(modal.placement)
             return
+        self._reader.budget.work(_SECONDS_OF_A_REFERENCE)
         origin, self._placed = np.array(modal.placement, dtype=np.int64), None
         cell.references.append(
             Reference(modal.cell, orientation, copies.count, lambda: (block + origin for block in copies.blocks()))
@@ -351,6 +366,7 @@ class _Pass:
         """Add the single placements of one cell that stand next to each other in the file as one reference."""
         if self._placed is None or self._cell is None:
             return
+        self._reader.budget.work(_SECONDS_OF_A_REFERENCE)
         name, orientation, origins = self._placed
         offsets = np.frombuffer(origins, dtype=np.int64).reshape(-1, 2)
         self._cell.references.append(Reference(name, orientation, len(offsets), lambda: iter((offsets,))))
@@ -368,7 +384,7 @@ class _Pass:
         layer = stream.unsigned() if info & 1 else layer
         modal.text_layer = (layer, stream.unsigned() if info & 2 else kind)
         modal.text = modal.read_position(stream, modal.text, bool(info & 0b1_0000), bool(info & 0b1000))
-        count = modal.read_repetition(stream, bool(info & 0b100)).count
+        count = self._repetition(bool(info & 0b100)).count
         cell.other_layers["{}/{} text".format(*modal.text_layer)] += count
 
     def _geometry(self, kind: int) -> None:
@@ -380,7 +396,7 @@ class _Pass:
         modal.datatype = stream.unsigned() if info & 2 else modal.datatype
         shape, name = read_shape(kind, info, stream, modal)
         modal.geometry = modal.read_position(stream, modal.geometry, bool(info & 0b1_0000), bool(info & 0b1000))
-        copies = modal.read_repetition(stream, bool(info & 0b100))
+        copies = self._repetition(bool(info & 0b100))
         wanted, first, last = self._reader.layer
         if modal.layer != wanted or not first <= modal.datatype <= last:
             if self._pillars_only:
@@ -391,7 +407,10 @@ class _Pass:
         if self._indexing:
             return
         self._reader.budget.work(_SECONDS_OF_A_PILLAR)
-        origin = np.concatenate([modal.geometry, [0, 0]])
+        self._unplaced = self._copied(shape, name, np.concatenate([modal.geometry, [0, 0]]), copies)
+
+    def _copied(self, shape: IntArray, name: str, origin: IntArray, copies: Copies) -> Iterator[None]:
+        """Collect all copies of a shape, and pause after each block of them."""
         rectangle = self._reader.known(shape, self._reader.unit_nm) if name != "circle" else None
         box = (box_of(shape) if rectangle is None else rectangle) + origin
         for offsets in copies.blocks():
@@ -400,10 +419,18 @@ class _Pass:
                 self._others += [Other(name, one) for one in boxes]
             else:
                 self._rectangles.append(boxes)
+            yield
+
+    def _repetition(self, is_stated: bool) -> Copies:
+        """The places of a record that may state a repetition."""
+        if is_stated:
+            self._reader.budget.work(_SECONDS_OF_A_REPETITION)
+        return self._modal.read_repetition(self._stream, is_stated)
 
     def _run_of_rectangles(self) -> bool:
         """Parse rectangles as far as the compiled loop goes; return False if it cannot read the first."""
         stream, modal, cell = self._stream, self._modal, self._inside()
+        self._reader.budget.work(_SECONDS_OF_A_RUN)
         position = [modal.layer, modal.datatype, *modal.geometry]
         state = np.array([*position, modal.width, modal.height, -1, modal.relative], dtype=np.int64)
         capacity = LARGEST_CHUNK if self._indexing else RUN
@@ -417,6 +444,7 @@ class _Pass:
         if repetition >= 0:
             modal.unread = Stream(stream.data, repetition, stream.spend)
         cell.shape_count += count
+        self._reader.budget.work(_SECONDS_OF_A_RECTANGLE * int(count))
         if not self._indexing:
             self._rectangles.append(out[:count])
         return True

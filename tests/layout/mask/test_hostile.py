@@ -168,7 +168,7 @@ LIMITS: dict[str, tuple[str, Callable[[], bytes], float | None, float | None]] =
     "depth": ("depth", lambda: _oasis(
         _cell("C0", _PILLAR), *(_cell(f"C{k}", _place(f"C{k - 1}")) for k in range(1, 250))
     ), None, 250),
-    "seconds": ("seconds", lambda: _oasis(_cell("A", _PILLAR), _cell("T", *[_place("A")] * 100)), 1e-3, None),
+    "seconds": ("seconds", lambda: _oasis(_cell("A", _PILLAR), _cell("T", *[_place("A")] * 100)), 3e-4, None),
     "GDSII depth": ("depth", lambda: _gdsii(
         ("C0", _boundary()), *((f"C{k}", _single(f"C{k - 1}")) for k in range(1, 250))
     ), None, 250),
@@ -187,6 +187,52 @@ def test_a_design_sets_the_limits(
         with pytest.raises(InputError, match=rf"raise `limits\.{name}` of the design, or `--limit {name}=N`"):
             read(replace(design, limits=Limits(**{name: too_low})))
         read(replace(design, limits=Limits(**{name: enough})))
+
+
+#: Records that cost more than their bytes tell; today's estimate refuses them within a quarter of a second.
+COSTLY: dict[str, Callable[[], bytes]] = {
+    "cells": lambda: _oasis(*(_cell(str(k)) for k in range(15_000))),
+    "blocks": lambda: _oasis(_cell("A", _PILLAR, _block(b"\x14\x10\x02") * 8000)),
+    "properties": lambda: _oasis(_cell("A", _PILLAR, b"\x1d" * 150_000)),
+    "mode records": lambda: _oasis(_cell("A", _PILLAR, b"\x10" * 150_000)),
+    "repetitions": lambda: _oasis(
+        _cell("A", _PILLAR, (b"\x14\x7f" + unsigned(9) + unsigned(0) + _PILLAR[4:] + _REPETITION) * 12_000)
+    ),
+    "compiled repetitions": lambda: _oasis(
+        _cell("A", _PILLAR, (b"\x14\x04\x01" + unsigned(1022) * 2 + unsigned(600) * 2) * 60)
+    ),
+    "runs of one": lambda: _oasis(_cell("A", _PILLAR, (b"\x14\x10\x02" + b"\x10") * 30_000)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("make", COSTLY.values(), ids=COSTLY.keys())
+def test_records_spend_the_time_that_they_take(make: Callable[[], bytes], small_design: Design, tmp_path: Path) -> None:
+    path = tmp_path / "costly"
+    path.write_bytes(make())
+    with pytest.raises(InputError, match=r"take about 0\.25 s at most.*limits\.seconds"):
+        mask.read(path, replace(small_design, limits=Limits(seconds=0.25)))
+
+
+def test_a_large_lens_gives_a_small_file_no_more_time(small_design: Design, tmp_path: Path) -> None:
+    """Its shapes are the design's number; other records are not."""
+    large = replace(small_design, device=replace(small_design.device, aperture_um=2000.0))
+    path = tmp_path / "hostile"
+    path.write_bytes(_oasis(_cell("T", b"\x14\x7f" + _PILLAR[2:] + _REPETITION)))
+    for read in (lambda: mask.read(path, large), lambda: read_shapes(path, large)):
+        with pytest.raises(InputError, match=r"take about 5\.\d+ s at most.*limits\.seconds"):
+            read()
+    path.write_bytes(_oasis(_cell("A", _PILLAR, b"\x1d" * 1_300_000)))
+    with pytest.raises(InputError, match=r"take about 2\.\d+ s at most.*limits\.seconds"):
+        mask.read(path, small_design)
+
+
+def test_a_block_is_inflated_within_the_memory(small_design: Design, tmp_path: Path) -> None:
+    path = tmp_path / "padding"
+    path.write_bytes(_oasis(_cell("T", _PILLAR, _block(bytes(257_000_000)))))
+    with pytest.raises(InputError, match=r"at most 256 MB.*limits\.memory_mb"):
+        mask.read(path, small_design)
+    path.write_bytes(_oasis(_cell("T", _PILLAR, _block(bytes(100_000_000)) * 3)))
+    assert mask.read(path, small_design).off_site.count == 1  # blocks that are given back count one by one
 
 
 def test_single_placements_of_a_cell_are_one_reference(design: Design, tmp_path: Path) -> None:
