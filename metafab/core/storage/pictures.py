@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+import lzma
 import math
 import warnings
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -26,6 +28,14 @@ _MOST_SAMPLES, _BYTES_OF_A_SAMPLE = 1 << 26, 8
 _LONGEST_SIDE_PX = 1 << 16
 #: Most pages of a TIFF; each costs 0.1 ms.
 _MOST_PAGES = 1 << 15
+#: Makes what inflates a strip or tile, by the compressions of TIFF that tifffile inflates by itself at any ratio.
+_OPENERS: dict[int, Callable[[], Any]] = {
+    8: zlib.decompressobj,
+    32946: zlib.decompressobj,
+    34925: lzma.LZMADecompressor,
+}
+#: Bytes of a strip besides twice its pixels.
+_SPARE_BYTES = 1 << 16
 _REMEDY = "save it as a grey TIFF, PNG or .npy of shape (rows, columns)"
 
 
@@ -89,6 +99,31 @@ def _require_end(file: TiffFile) -> None:
         offset = int.from_bytes(stream.read(layout.offsetsize), order)
 
 
+def _require_modest_strips(path: Path, file: TiffFile) -> None:
+    """Refuse deflated strips and tiles that inflate to far more than their pixels: tifffile inflates them whole.
+
+    ValueError, or InputError for tiles of more pixels than a picture may have.
+    """
+    stream = file.filehandle
+    for page in file.pages:
+        key = page.keyframe
+        if key is None or key.compression not in _OPENERS:
+            continue
+        if key.is_tiled:
+            require_few(path, *key.chunks)
+        pixels = math.prod(key.chunks) if key.is_tiled else min(math.prod(key.chunks), key.size)
+        most = 2 * pixels * -(-key.bitspersample // 8) + _SPARE_BYTES
+        # Strips may share one place in the file.
+        for place, size in set(zip(page.dataoffsets, page.databytecounts, strict=False)):
+            opener = _OPENERS[key.compression]()
+            stream.seek(place)
+            inflated = len(opener.decompress(stream.read(min(size, most)), most)) if size else 0
+            # A second stream follows; zlib leaves it out, lzma does not.
+            follows = isinstance(opener, lzma.LZMADecompressor) and bool(opener.unused_data.strip(b"\0"))
+            if max(size, inflated) >= most or follows:
+                raise ValueError(f"a strip or tile of {size} bytes that inflates to far more than its {pixels} pixels")
+
+
 def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
     def tiff(path: Path) -> np.ndarray:
         import tifffile
@@ -102,6 +137,7 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
             if max(page.imagewidth, page.imagelength) > _LONGEST_SIDE_PX:
                 raise ValueError(f"{page.imagelength} x {page.imagewidth} pixels, more than {_LONGEST_SIDE_PX} a side")
             require_few(path, *file.series[0].shape)
+            _require_modest_strips(path, file)
             return np.asarray(file.asarray())
 
     def png(path: Path) -> np.ndarray:

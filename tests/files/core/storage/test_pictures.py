@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import lzma
 import resource
 import struct
 import time
@@ -63,6 +64,32 @@ def test_a_picture_of_a_thousand_million_pixels_is_refused_by_its_header(
         read_counts(path)
     assert time.process_time() - start < 5.0
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb < 100 * 1024
+
+
+@pytest.mark.parametrize("compression", ["zlib", "lzma"])
+@pytest.mark.parametrize("places", [{}, {"tile": (16, 16)}, {"rowsperstrip": 3}])
+def test_a_strip_that_inflates_to_more_than_its_pixels_is_refused(
+    compression: str, places: dict[str, object], tmp_path: Path
+) -> None:
+    """A strip of a small picture may hold a gigabyte of zeros; each page is looked at."""
+    path, values = tmp_path / "strip.tif", np.arange(2 * 40 * 50, dtype=np.uint16).reshape(2, 40, 50)
+    tifffile.imwrite(path, values, compression=compression, photometric="minisblack", metadata=None, **places)
+    assert np.array_equal(read_array(path), values)
+    pack = zlib.compress if compression == "zlib" else lzma.compress
+    bomb = pack(bytes(10**6))
+    with tifffile.TiffFile(path) as file:
+        page = file.pages[1]
+        offsets, counts = page.tags[324 if "tile" in places else 273], page.tags[325 if "tile" in places else 279]
+        single = offsets.count == 1
+        at = [tag.valueoffset for tag in (offsets, counts)]
+        forms = ["<I" if tag.dtype == 4 else "<H" for tag in (offsets, counts)]
+    image = bytearray(path.read_bytes())
+    assert single == (not places) and forms[0] == "<I" and len(bomb) < 1 << 16
+    struct.pack_into("<I", image, at[0], len(image))
+    struct.pack_into(forms[1], image, at[1], len(bomb))
+    path.write_bytes(image + bomb)
+    with pytest.raises(InputError, match="inflates to far more than its"):
+        read_array(path)
 
 
 def test_a_picture_within_the_budget_is_read(tmp_path: Path) -> None:
