@@ -206,14 +206,15 @@ def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None
 
     A small file can claim large arrays that were never written or that deflate to almost nothing. A file of up to 10 MB
     may hold 768 MiB of arrays, a larger file 64 more bytes for each of its own, unless the limit ``memory_mb`` is
-    stated.
+    stated. The array that takes the most is counted with what its reader holds besides: a copy as floats, and the
+    buffers from which a chunk is inflated.
 
     InputError for a link or dataset whose content lies outside the file or is computed, an array that is no array of
     numbers or bytes, more bytes than the budget, or hostile chunks.
     """
     file_bytes = path.stat().st_size
     most = limit("memory_mb", (_BUDGET_BYTES + _EXPANSION * max(0, file_bytes - _SMALL_FILE_BYTES)) / 1e6)
-    left = most * 1e6
+    arrays = besides = 0
     most_chunks = _MOST_CHUNKS + file_bytes // 1024
 
     def refuse(name: str, expected: str, got: str) -> NoReturn:
@@ -248,9 +249,12 @@ def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None
             chunks = math.prod(-(-side // part) for side, part in zip(item.shape, chunk, strict=True))
             if item.chunks and chunks > most_chunks:
                 refuse(name, f"at most {most_chunks} chunks", f"{chunks} chunks of shape {chunk}")
-            left -= max(item.size, math.prod(chunk)) * max(item.dtype.itemsize, 1)
-            if left < 0:
-                expected = f"at most {most:.0f} MB of arrays in a file of {file_bytes / 1e6:.3g} MB"
+            item_bytes = max(item.dtype.itemsize, 1)
+            arrays += max(item.size, math.prod(chunk)) * item_bytes
+            buffers = _BUFFERS_OF_A_CHUNK * math.prod(chunk) * item_bytes if item.compression else 0
+            besides = max(besides, item.size * max(item_bytes, _BYTES_OF_A_FLOAT) + buffers)
+            if arrays + besides > most * 1e6:
+                expected = f"at most {most:.0f} MB of arrays and their copies in a file of {file_bytes / 1e6:.3g} MB"
                 raise beyond(str(path), name, "memory_mb", expected, f"shape {item.shape} in chunks of {item.chunks}")
 
 
@@ -258,6 +262,9 @@ def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None
 _BUDGET_BYTES = 768 << 20
 _SMALL_FILE_BYTES = 10 * 10**6
 _EXPANSION = 64
+_BYTES_OF_A_FLOAT = 8
+#: Buffers of a compressed chunk: one that doubles until it holds the chunk.
+_BUFFERS_OF_A_CHUNK = 2
 #: Chunks of one array, besides one for each KiB of the file; each costs a search of a microsecond.
 _MOST_CHUNKS = 1 << 17
 #: Groups and datasets of a file; metafab writes fewer than a hundred.
