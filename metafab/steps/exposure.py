@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -153,30 +154,24 @@ def expose_mask(
         ratio = base_dose_to_size(back.pillars, in_focus, outline, work)
     beside, listed = beside_lens(design, back, copy, range_nm)
     lens_dose = 1.0 if lens is None else lens.dose
-    if correct and keep_plain:
-        before = exposure.expose(
-            back.pillars,
-            psf,
-            outline=outline,
-            beside=beside,
-            base_over_clearing_dose=ratio,
-            contrast=process.contrast,
-            lens_dose=lens_dose,
-            work=work,
-        )
-        ratio, plain = before.figures.base_over_clearing_dose, exposure.SizeErrors.of(before)
-        del before  # its doses are as large as the lens
-    found = exposure.expose(
+    exposed = partial(
+        exposure.expose,
         back.pillars,
         psf,
         outline=outline,
         beside=beside,
-        base_over_clearing_dose=ratio,
         contrast=process.contrast,
         lens_dose=lens_dose,
+        work=work,
+    )
+    if correct and keep_plain:
+        before = exposed(base_over_clearing_dose=ratio)
+        ratio, plain = before.figures.base_over_clearing_dose, exposure.SizeErrors.of(before)
+        del before  # its doses are as large as the lens
+    found = exposed(
+        base_over_clearing_dose=ratio,
         correction=process.correction if correct else "none",
         numerics=exposure.ExposureNumerics(classes=process.classes, samples=samples, keep_sizes=keep_sizes),
-        work=work,
     )
     if keep_plain and not correct:
         plain = exposure.SizeErrors.of(found)
