@@ -253,9 +253,10 @@ def _not_predicted(design: Design) -> str | None:
         return "the design has no [process.exposure]"
     if design.mask.dose is not None:
         return "the mask has dose classes; `metafab expose` reads the mask of one dose"
-    if (shape := design.unit_cell.cell.shape) in {"cross", "ring"} or design.mask.tone != "negative":
-        what = f"the shape '{shape}'" if design.mask.tone == "negative" else f"the tone '{design.mask.tone}'"
-        return f"{what} is not available with the exposure"
+    from metafab.exposure.electrons.process import unavailable_keys
+
+    if faults := unavailable_keys(design):
+        return f"`{faults[0].field}` = {faults[0].got} is {faults[0].remedy}"
     focus_um = design.mask.copies[0].focus_um if design.mask.copies else process.best_focus_um
     if focus_um != process.best_focus_um and process.convergence_mrad is None:
         return "the first lens is out of focus, and `process.exposure.convergence_mrad` is not stated"

@@ -118,13 +118,13 @@ def exposure_process(design: Design, further: Sequence[Fault] = ()) -> ExposureP
     if process is None:
         remedy = 'add `[process.exposure]` with `preset = "hsq_sos_100kv"`, or with your own `terms`'
         raise InputError.single(design.name, "process.exposure", "a table", "none", remedy)
-    if faults := [*_unavailable(design), *further]:
+    if faults := [*unavailable_keys(design), *further]:
         raise InputError(design.name, faults)
     return process
 
 
-def _unavailable(design: Design) -> list[Fault]:
-    """Keys of a design whose pillars the exposure cannot predict."""
+def unavailable_keys(design: Design) -> list[Fault]:
+    """Keys of a design for which the exposure cannot predict its pillars; empty if it can."""
     faults, shape = [], design.unit_cell.cell.shape
     if shape in {"cross", "ring"}:
         expected = "'rectangle', 'circle' or 'ellipse'"
