@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import partial
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +33,13 @@ from metafab.library.use.lookup import global_offsets
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
 
+Result = TypeVar("Result")
+
 #: Lattices up to this many sites are kept in memory (2 bytes a site); larger ones are mapped again on each reading.
 KEPT_SITES = 1 << 27
 
+#: Tiles in flight while a lens is mapped.
+_AHEAD = 8
 # Rows and columns that are sampled to choose the constant phases.
 _SAMPLED_LINES = 1000
 # Retardances (rad) that differ by less are equal: those of files in single precision, or with three decimals, differ by
@@ -80,29 +85,33 @@ def assign(
     sum of their overlaps decides. Profile and library are at the wavelength of the design's unit cell.
 
     ``executor`` runs tiles; threads of this process by default. It must stay open while the map of a lens of more than
-    ``kept_sites`` sites, which is not kept in memory, is read. InputError if the library has no size that the rules
-    allow, or lengths do not fit the database unit.
+    ``kept_sites`` sites, which is mapped anew on each reading, is read. InputError if the library has no size that the
+    rules allow, or lengths do not fit the database unit.
     """
     mapping = mapping_of(profile, library, design, lights)
     table, lattice, corners = mapping.table, mapping.aperture.lattice, mapping.corners()
     kept = math.prod(lattice.shape) <= kept_sites
     whole = np.zeros(lattice.shape if kept else (0, 0), dtype=np.uint16)
     total: TileSums | None = None
-    for done, (tile, sums) in enumerate(_mapped(mapping, corners, executor), start=1):
-        if kept:
+    first_pass = _mapped(mapping, corners, executor, _itself if kept else _nothing)
+    for done, (tile, sums) in enumerate(first_pass, start=1):
+        if tile is not None:
             whole[tile.window] = tile.size_index
         total = sums if total is None else total + sums
         progress("mapping", done, len(corners))
     assert total is not None  # An aperture holds at least one site, and so one tile.
 
-    def tiles() -> Iterator[PillarTile]:
-        """Map all tiles again."""
-        return (tile for tile, _ in _mapped(mapping, corners, executor))
+    def remapped(
+        function: Callable[[PillarTile], Any], executor: Executor | None = executor, ahead: int = _AHEAD
+    ) -> Iterator[Any]:
+        """Map all tiles again, and yield ``function`` of each."""
+        return (found for found, _ in _mapped(mapping, corners, executor, function, ahead))
 
     if kept:
         pillars = PillarMap.from_array(lattice, table.size_dbu, whole, mapping.tile_sites)
     else:
-        pillars = PillarMap(lattice, table.size_dbu, tiles, mapping.tile_sites)
+        tiles = partial(remapped, _itself)
+        pillars = PillarMap(lattice, table.size_dbu, tiles, mapping.tile_sites, remapped=remapped)
     each = None if total.each is None else total.each.figures(library, table, mapping.offset_rad)
     found = () if mapping.lights is None else _of_lights(mapping.lights, lights, total, design)
     return Assignment(pillars, total.figures(library, table, mapping.offset_rad), mapping.offset_rad, each, found)
@@ -127,14 +136,38 @@ def _of_lights(
     )
 
 
+@dataclass(frozen=True)
+class _Mapped(Generic[Result]):
+    """Maps a tile, and applies a function to it in the same call."""
+
+    mapping: TileMapping
+    function: Callable[[PillarTile], Result]
+
+    def __call__(self, corner: tuple[int, int]) -> tuple[Result, TileSums]:
+        tile, sums = self.mapping(corner)
+        return self.function(tile), sums
+
+
+def _itself(tile: PillarTile) -> PillarTile:
+    return tile
+
+
+def _nothing(tile: PillarTile) -> None:
+    """A tile that is not kept need not travel."""
+
+
 def _mapped(
-    mapping: TileMapping, corners: list[tuple[int, int]], executor: Executor | None
-) -> Iterator[tuple[PillarTile, TileSums]]:
-    """Map the tiles in order, on threads of this process by default."""
+    mapping: TileMapping,
+    corners: list[tuple[int, int]],
+    executor: Executor | None,
+    function: Callable[[PillarTile], Result],
+    ahead: int = _AHEAD,
+) -> Iterator[tuple[Result, TileSums]]:
+    """Function and sums of each tile in order, at most ``ahead`` in flight, by default on threads of this process."""
     # The choice for several lights is a matrix product; its threads would compete with those of the tiles.
     alone = nullcontext() if mapping.lights is None else threadpool_limits(1, "blas")
     with alone, ThreadPoolExecutor(default_workers()) as threads:
-        yield from in_order(executor or threads, mapping, corners)
+        yield from in_order(executor or threads, _Mapped(mapping, function), corners, ahead=ahead)
 
 
 def mapping_of(

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.display import Displayed
 from metafab.core.errors import InputError
 from metafab.core.labelled import dataset
+from metafab.core.parallel.executor import in_order
 from metafab.core.storage.scratch import release
 from metafab.layout.outlines import RECTANGLE, Outline
 
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     import xarray
 
 SizeIndexArray = NDArray[np.uint16]
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
@@ -140,6 +143,7 @@ class PillarMap(Displayed):
         tile_sites: sites per side of a tile (tiles at the edges are smaller).
         whole: shape ``lattice.shape``, the indices of all tiles, in memory or on disk; None if they are not kept.
         angle_deg: shape (n_sizes + 1,), counter-clockwise turn of each size about its site; None for upright pillars.
+        remapped: maps all tiles anew and yields a function of each, as :meth:`apply`; None if the tiles are kept.
     """
 
     lattice: Lattice
@@ -148,6 +152,7 @@ class PillarMap(Displayed):
     tile_sites: int
     whole: SizeIndexArray | None = None
     angle_deg: FloatArray | None = None
+    remapped: Callable[[Callable[[PillarTile], Any], Executor, int], Iterator[Any]] | None = None
 
     @classmethod
     def from_array(
@@ -171,6 +176,15 @@ class PillarMap(Displayed):
                     yield PillarTile(row, column, block)
 
         return cls(lattice, size_dbu, tiles, tile_sites, size_index, angle_deg)
+
+    def apply(self, function: Callable[[PillarTile], Result], executor: Executor, ahead: int) -> Iterator[Result]:
+        """Yield ``function`` of each tile in order, at most ``ahead`` in flight; tiles without pillars may be left out.
+
+        Tiles that are not kept are mapped by the call that applies the function, so that they do not travel.
+        """
+        if self.remapped is not None:
+            return self.remapped(function, executor, ahead)
+        return in_order(executor, function, (tile for tile in self.tiles() if tile.size_index.any()), ahead=ahead)
 
     def to_array(self) -> SizeIndexArray:
         """All tiles as one array of shape ``lattice.shape`` (2 bytes per site); read-only by agreement."""

@@ -75,6 +75,22 @@ class MaskFigures:
     fields: FieldTimes | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class TileCount:
+    """Number of pillars of a tile."""
+
+    row: int  #: Row of its first site.
+    column: int  #: Column of its first site.
+    sites: int  #: Number of its sites.
+    used: NDArray[np.int64]  #: Shape (n_sizes + 1,), number of sites of each size index.
+
+    @classmethod
+    def of(cls, tile: PillarTile, sizes: int) -> TileCount:
+        """Count a tile whose size indices are below ``sizes``."""
+        used = count_sizes(np.ascontiguousarray(tile.size_index), sizes)
+        return cls(tile.row, tile.column, tile.size_index.size, used)
+
+
 class MaskSums:
     """Counts and areas of the pillars, added up tile by tile.
 
@@ -102,17 +118,17 @@ class MaskSums:
         self.sites = 0
         self.filled: set[tuple[int, int]] = set()
 
-    def add(self, tile: PillarTile) -> None:
-        """Count the pillars of a tile; tiles lie within a write field."""
+    def add(self, tile: TileCount) -> None:
+        """Add the pillars of a tile, which lies within a write field."""
         across, along = self._field_sites
         field = tile.row // along, tile.column // across
-        used = count_sizes(np.ascontiguousarray(tile.size_index), self._used.size)
+        used = tile.used
         self._pillars_in[field] += used[1:].sum()
         self._twice_area_in_dbu[field] += used @ self._twice_area_dbu
         if self._fracture is not None:
             self._load_in[:, field[0], field[1]] += self._fracture @ used
         self._used += used
-        self.sites += tile.size_index.size
+        self.sites += tile.sites
         self.filled.add((tile.row, tile.column))
 
     def figures(self, stamps: Stamps, included: Sequence[IncludedCell]) -> MaskFigures:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.parallel.executor import default_workers, in_order
+from metafab.core.parallel.executor import default_workers
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import whole_file, write_json
 from metafab.layout import Lattice, PillarMap, PillarTile
@@ -27,7 +27,7 @@ from metafab.mask.drawing.include import shapes_beside
 from metafab.mask.drawing.stamps import Stamps
 from metafab.mask.gdsii.writer import GdsiiWriter
 from metafab.mask.oasis.writer import OasisWriter
-from metafab.mask.sidecar import MaskFigures, MaskSums, layer_properties, sidecar
+from metafab.mask.sidecar import MaskFigures, MaskSums, TileCount, layer_properties, sidecar
 from metafab.spec import Design
 
 WRITERS: dict[str, type[MaskWriter]] = {"gds": GdsiiWriter, "oas": OasisWriter}
@@ -126,13 +126,13 @@ def write_drawings(
             stream = stack.enter_context(part.open("wb", buffering=_BUFFER_BYTES))
             writers.append(WRITERS[suffix](stream, drawing_of(drawn.lattice, design)))
         executor = executor or stack.enter_context(ThreadPoolExecutor(default_workers()))
-        encode = _Encoding(stamps, tuple(writer.encoder for writer in writers))
-        filled = (tile for tile in drawn.tiles() if tile.size_index.any())
+        encode = _Encoding(stamps, tuple(writer.encoder for writer in writers), len(drawn.size_dbu))
         sites = drawn.lattice.shape[0] * drawn.lattice.shape[1]
-        for tile, encoded in in_order(executor, encode, filled, ahead=default_workers() + 1):
+        for count, encoded in drawn.apply(encode, executor, default_workers() + 1):
             for number, cell in enumerate(encoded):
                 writers[number % len(writers)].add(cell)
-            sums.add(tile)
+            if encoded:
+                sums.add(count)
             progress("mask", sums.sites, sites)
         in_top_cell += stamps.without_pillars(sums.filled)
         for writer in writers:
@@ -147,10 +147,13 @@ class _Encoding:
 
     stamps: Stamps
     encoders: tuple[TileEncoder, ...]
+    sizes: int
 
-    def __call__(self, tile: PillarTile) -> tuple[PillarTile, list[EncodedTile]]:
-        """Return the tile and its encoded stamps, formats alternating."""
-        return tile, [encoder(*part) for part in self.stamps.of(tile) for encoder in self.encoders]
+    def __call__(self, tile: PillarTile) -> tuple[TileCount, list[EncodedTile]]:
+        """Count the tile, and return its encoded stamps, formats alternating."""
+        parts = self.stamps.of(tile) if tile.size_index.any() else ()
+        encoded = [encoder(*part) for part in parts for encoder in self.encoders]
+        return TileCount.of(tile, self.sizes), encoded
 
 
 def drawing_of(lattice: Lattice, design: Design) -> Drawing:

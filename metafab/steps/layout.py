@@ -82,6 +82,7 @@ def write_layout(job: Job) -> LayoutFigures:
     InputError if the design asks for no file, or a biased lens of ``mask.copies`` violates the design rules.
     """
     from metafab import layout, mask
+    from metafab.layout.assign import KEPT_SITES
 
     if not job.design.has_mask:
         remedy = 'set it to ["oas"]; `metafab run` does without a mask'
@@ -90,7 +91,14 @@ def write_layout(job: Job) -> LayoutFigures:
     lights = light_targets(job)
     with job.work.threads() as executor:
         assignment = layout.assign(
-            job.profile, open_library(job), job.design, lights=lights, executor=executor, progress=progress
+            job.profile,
+            open_library(job),
+            job.design,
+            lights=lights,
+            executor=executor,
+            progress=progress,
+            # Workers of a cluster map each tile again rather than have it sent twice.
+            kept_sites=KEPT_SITES if job.work.cluster is None else 0,
         )
         written = mask.write(
             assignment.pillars,

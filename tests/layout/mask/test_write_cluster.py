@@ -34,16 +34,17 @@ def cluster() -> Iterator[str]:
         yield workers.scheduler_address
 
 
+@pytest.mark.parametrize("kept_sites", [0, 1 << 27], ids=["mapped again where it is written", "kept"])
 def test_a_cluster_maps_and_writes_the_same_bytes(
-    cluster: str, tiny: Assignment, tiny_files: dict[str, Path], profile: PhaseProfile,
+    kept_sites: int, cluster: str, tiny: Assignment, tiny_files: dict[str, Path], profile: PhaseProfile,
     smooth_library: Library, tiny_design: Design, tmp_path: Path,
 ) -> None:  # fmt: skip
     with open_executor(cluster=cluster) as executor:
         assert isinstance(executor, ClusterExecutor)
         assert executor.slots == 2
-        mapped = layout.assign(profile, smooth_library, tiny_design, executor=executor)
+        mapped = layout.assign(profile, smooth_library, tiny_design, executor=executor, kept_sites=kept_sites)
         written = mask.write(mapped.pillars, tmp_path, tiny_design, executor=executor)
-    assert np.array_equal(sizes_at_sites(mapped.pillars), sizes_at_sites(tiny.pillars))
+        assert np.array_equal(sizes_at_sites(mapped.pillars), sizes_at_sites(tiny.pillars))
     assert mapped.figures == tiny.figures
     for file in written[:2]:
         assert file.path.read_bytes() == tiny_files[file.path.suffix[1:]].read_bytes()
