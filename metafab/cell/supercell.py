@@ -27,8 +27,8 @@ class Supercell:
     InputError for sizes of another shape or beyond the period, or a cell that no supercell solver treats.
     """
 
-    #: Period of one site, materials, and light along the axis; its own pillar size is ignored. Pillars are upright
-    #: rectangles without layers, on an isotropic substrate.
+    #: Period of one site, outline, materials, and light along the axis; its own pillar size is ignored. Pillars are
+    #: upright, without layers, on an isotropic substrate in a rectangular lattice; not rings.
     cell: PillarCell
     size_nm: FloatArray  #: Shape (n_y, n_x, 2), (width, length) at each site, lowest y first; (0, 0) for no pillar.
 
@@ -40,7 +40,9 @@ class Supercell:
         if not (np.all(sizes >= 0.0) and np.all(sizes <= self.cell.period_nm)):
             expected = f"0 to the period of {self.cell.period_nm} nm"
             raise InputError.single("supercell", "size_nm", expected, f"{sizes.max():g} nm")
-        faults = self.cell.untreated("a supercell", remedy="remove it to compute the coupling between neighbours")
+        remedy = "remove it to compute the coupling between neighbours"
+        treated = () if self.cell.shape == "ring" else ("shape, corner_radius_nm",)
+        faults = self.cell.untreated("a supercell", treated, remedy)
         if faults:
             raise InputError("supercell", faults)
 

@@ -21,7 +21,6 @@ import numpy as np
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from metafab.cell import pillar_cell
 from metafab.cell import solve as solve_cell
 from metafab.cell.elements import ElementNumerics, supercell_orders
 from metafab.cell.meep import Pool
@@ -31,6 +30,7 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.core.parallel.progress import Progress, silent
+from metafab.fullwave.written import site_cell
 from metafab.library import Library
 from metafab.library.neighbours import solve_supercell
 from metafab.spec.fields import CONFIG, NonNegative
@@ -85,7 +85,7 @@ def read_blocks(path: Path, library: Library) -> list[Supercell]:
     except (OSError, ValueError, RecursionError) as error:
         got = f"an unreadable file ({error})"
         raise InputError.single(str(path), "file", 'a JSON file {"blocks": [...]}', got, "correct it") from error
-    cell, faults, supercells = pillar_cell(library.unit_cell, 0.0, 0.0), [], []
+    cell, faults, supercells = site_cell(library), [], []
     for number, block in enumerate(validate(Blocks, table, str(path)).blocks):
         size_nm = block.size_nm
         for axis, name in enumerate(("width_nm", "length_nm")):
@@ -95,6 +95,8 @@ def read_blocks(path: Path, library: Library) -> list[Supercell]:
                 faults.append(Fault(f"blocks[{number}].{name}", expected, f"{largest:g} nm"))
         if np.any((size_nm[..., 0] == 0.0) != (size_nm[..., 1] == 0.0)):
             faults.append(Fault(f"blocks[{number}]", "width and length both 0, or both above", "one of them 0"))
+        if library.unit_cell.cell.is_round and np.any(size_nm[..., 0] != size_nm[..., 1]):
+            faults.append(Fault(f"blocks[{number}]", "`length_nm` equal to `width_nm` for circles", "other lengths"))
         if not faults:
             supercells.append(Supercell(cell, size_nm))
     if faults:

@@ -6,7 +6,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from metafab.cell import pillar_cell
+from metafab.cell import PillarCell, pillar_cell
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
@@ -18,6 +18,14 @@ Axis: TypeAlias = Literal["x", "y"]
 #: Sites of the line on which a local period is measured, and the longest period measurable on it.
 _LINE_SITES = 64
 _LONGEST_SITES = 40
+
+
+def site_cell(library: Library) -> PillarCell:
+    """Return the cell of a supercell's sites, without a pillar; InputError for rings."""
+    if library.unit_cell.cell.shape == "ring":
+        expected = "rectangles, circles, ellipses or crosses in a supercell"
+        raise InputError.single("supercell", "cell.shape", expected, "rings: not available for these")
+    return pillar_cell(library.unit_cell, 0.0, 0.0)
 
 
 def site_at(pillars: PillarMap, x_um: float, y_um: float) -> tuple[int, int]:
@@ -64,7 +72,7 @@ def supercell_at(
     pitch_x, pitch_y = (period * lattice.database_unit_nm * 1e-3 for period in lattice.period_dbu)
     x = lattice.x_um()[0] + pitch_x * (column + np.arange(shape[1]))
     y = lattice.y_um()[0] + pitch_y * (row + np.arange(shape[0]))
-    return Supercell(pillar_cell(library.unit_cell, 0.0, 0.0), sizes_at(pillars, row, column, shape)), x, y
+    return Supercell(site_cell(library), sizes_at(pillars, row, column, shape)), x, y
 
 
 def library_responses(supercell: Supercell, library: Library) -> ComplexArray:

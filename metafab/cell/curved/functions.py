@@ -86,7 +86,7 @@ def _element(quad: Quad, order: int, numbers: tuple[_Numbers, _Numbers, _Numbers
         curl=kept(curl, [along_u, along_v])[1],
         place_z=at_z,
         e_z=e_z,
-        weight=(np.multiply.outer(weight, weight) * place.area).ravel(),
+        weight=(np.multiply.outer(weight, weight) * np.abs(place.area)).ravel(),
         at=np.stack([place.x.ravel(), place.y.ravel()]),
         is_pillar=quad.inside,
     )
@@ -104,7 +104,7 @@ class _Numbering:
         self._mesh, self._axis, self._order = mesh, POLARISATIONS.index(light), order
         self._turned_about = None if mesh.turned_about_nm is None else _rounded(mesh.turned_about_nm)
         self._vertices: dict[Point, int] = {}
-        self._sides: dict[tuple[Point, Point], tuple[IntArray, IntArray]] = {}
+        self._sides: dict[tuple[Point, Point, bool], tuple[IntArray, IntArray]] = {}
         self.n_e = self.n_z = 0
 
     def of_element(self, quad: Quad) -> tuple[_Numbers, _Numbers, _Numbers]:
@@ -138,13 +138,16 @@ class _Numbering:
             sign = min(sign, of_end)  # the middle of a turn is its own image
         else:
             one, other, sign = _rounded(begin), _rounded(end), 1.0
-        if (one, other) not in self._sides:
-            if (other, one) in self._sides:
+        # In a period of one site, two sides with the same ends run in opposite senses.
+        sense = one < other
+        ends = self._repeated(one), self._repeated(other)
+        if (*ends, sense) not in self._sides:
+            if (*ends[::-1], not sense) in self._sides:
                 raise ValueError(f"the side from {one} to {other} runs against that of its neighbour")
             p, left_out = self._order, self._is_normal(one, other)
             numbers = (np.full(p, -1), np.full(p - 1, -1)) if left_out else (self._new_e(p), self._new_z(p - 1))
-            self._sides[one, other] = numbers
-        return (*self._sides[one, other], sign)
+            self._sides[*ends, sense] = numbers
+        return (*self._sides[*ends, sense], sign)
 
     def _vertex(self, point: Point) -> tuple[int, float]:
         at, sign = self._canonical(point)
@@ -157,8 +160,16 @@ class _Numbering:
         """The vertex whose functions serve at a point, and their sign; on the cut of a half, the turned image."""
         centre = self._mesh.turned_about_nm
         if centre is None or not self._is_on_cut(point) or point[0] > centre[0] * (1.0 - 1e-9):
-            return _rounded(point), 1.0
+            return self._repeated(point), 1.0
         return _rounded((2.0 * centre[0] - point[0], 2.0 * centre[1] - point[1])), -1.0
+
+    def _repeated(self, point: Point) -> Point:
+        """The point in the first period that has the functions of ``point``."""
+        x, y = (
+            (round(at, _DIGITS) + 0.0) % round(period, _DIGITS) if repeats else at
+            for at, period, repeats in zip(point, self._mesh.half_nm, self._mesh.repeats, strict=True)
+        )
+        return _rounded((x, y))
 
     def _is_on_cut(self, point: Point) -> bool:
         """Whether a point lies on the diagonal that cuts a hexagonal lattice's quarter in halves."""
@@ -167,6 +178,8 @@ class _Numbering:
 
     def _is_normal(self, *points: Point) -> bool:
         """Whether the points lie on one mirror plane at which E is normal."""
+        if self._mesh.repeats[self._axis]:
+            return False
         planes = (0.0, round(self._mesh.half_nm[self._axis], _DIGITS))
         return any(all(point[self._axis] == plane for point in points) for plane in planes)
 

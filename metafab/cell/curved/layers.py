@@ -31,6 +31,9 @@ from metafab.cell.rcwa.symmetry import permittivity, polarisations_swap
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import SolverError
 
+#: Largest eigenvalue of a constant potential over the largest of all.
+_STATIC = 1e-12
+
 
 def zero_order(cell: PillarCell, order: int) -> ZeroOrder:
     """Solve ``cell`` for its Jones matrices with one polynomial order on every element.
@@ -54,8 +57,8 @@ def zero_order(cell: PillarCell, order: int) -> ZeroOrder:
 
 
 @dataclass(frozen=True)
-class QuarterMatrices:
-    """Gram matrices of N functions of E and n_z of E_z over the quarter; ``_in`` over the pillar alone."""
+class MeshMatrices:
+    """Gram matrices of N functions of E and n_z of E_z over a mesh; ``_in`` over the pillars alone."""
 
     e: FloatArray  #: Shape (N, N), of E.
     e_in: FloatArray  #: Shape (N, N).
@@ -64,14 +67,14 @@ class QuarterMatrices:
     z: FloatArray  #: Shape (n_z, n_z), of E_z.
     z_in: FloatArray  #: Shape (n_z, n_z).
     gradient: FloatArray  #: Shape (N, n_z), gradient of each function of E_z among those of E.
-    uniform: FloatArray  #: Shape (N,), integral of each function's component along the light.
+    uniform: FloatArray  #: Shape (n_lights, N), integral of each function's component along each light.
     area_nm2: float  #: Area of the elements.
 
     @classmethod
-    def of(cls, functions: Functions, axis: int) -> QuarterMatrices:
-        """Sum over the elements; ``axis`` is that of the light."""
+    def of(cls, functions: Functions, axes: list[int]) -> MeshMatrices:
+        """Sum over the elements; ``axes`` are those of the lights."""
         n_e, n_z = functions.gradient.shape
-        e, e_in, curl, uniform = *(np.zeros((n_e, n_e)) for _ in range(3)), np.zeros(n_e)
+        e, e_in, curl, uniform = *(np.zeros((n_e, n_e)) for _ in range(3)), np.zeros((len(axes), n_e))
         z, z_in, area_nm2 = np.zeros((n_z, n_z)), np.zeros((n_z, n_z)), 0.0
         for each in functions.elements:
             at_e, at_z = np.ix_(each.place, each.place), np.ix_(each.place_z, each.place_z)
@@ -83,7 +86,7 @@ class QuarterMatrices:
             if each.is_pillar:
                 e_in[at_e] += of_e
                 z_in[at_z] += of_z
-            uniform[each.place] += each.e[axis] @ each.weight
+            uniform[:, each.place] += each.e[axes] @ each.weight
             area_nm2 += float(each.weight.sum())
         return cls(e, e_in, np.asarray(np.linalg.inv(e)), curl, z, z_in, functions.gradient, uniform, area_nm2)
 
@@ -99,25 +102,28 @@ class QuarterMatrices:
     def waves(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
         """In-plane wave number squared, shape (n,), and M e of the unit waves, shape (N, n), of TM and of TE waves.
 
-        The first TE wave is the uniform field, of k = 0. The functions hold it up to the outline's curvature: its part
-        that has a curl is removed, so that the waves are orthogonal and power is kept exactly.
+        The first TE waves are the uniform fields of the lights, of k = 0. The functions hold them up to the outline's
+        curvature: their part that has a curl is removed, so that the waves are orthogonal and power is kept exactly.
         """
         lifted = self.e @ self.gradient
         k_tm, potential = eigh(self.gradient.T @ lifted, self.z)
-        # The gradients and the uniform field have no curl: the other waves are above these in k.
+        static = k_tm < _STATIC * k_tm[-1]  # a constant potential, where no mirror plane excludes it
+        k_tm, potential = k_tm[~static], potential[:, ~static]
+        # The gradients and the uniform fields have no curl: the other waves are above these in k.
         k_te, fields = eigh(self.curl, self.e)
-        static = self.gradient.shape[1] + 1
-        te = self.e @ fields[:, static:]
-        uniform = self.uniform - te @ (fields[:, static:].T @ self.uniform)
-        uniform /= math.sqrt(uniform @ self.inverse @ uniform)
-        te = np.concatenate([uniform[:, None], te], axis=1)
-        return (k_tm, lifted @ (potential / np.sqrt(k_tm))), (np.append(0.0, k_te[static:]), te)
+        first = len(k_tm) + len(self.uniform)
+        te = self.e @ fields[:, first:]
+        uniform = self.uniform.T - te @ (fields[:, first:].T @ self.uniform.T)
+        uniform /= np.sqrt(np.sum(uniform * (self.inverse @ uniform), axis=0))
+        te = np.concatenate([uniform, te], axis=1)
+        k_te = np.concatenate([np.zeros(len(self.uniform)), k_te[first:]])
+        return (k_tm, lifted @ (potential / np.sqrt(k_tm))), (k_te, te)
 
 
 def _solved(cell: PillarCell, light: Polarisation, order: int) -> tuple[complex, complex, tuple[float, float], int]:
     """t, r, transmitted and reflected power over the incident power, and the number of functions."""
     axis, k0 = POLARISATIONS.index(light), cell.k0_per_nm
-    of = QuarterMatrices.of(functions_of(quarter_mesh(cell), light, order), axis)
+    of = MeshMatrices.of(functions_of(quarter_mesh(cell), light, order), [axis])
     waves = of.waves()
     n_in, n_out = complex(cell.n_in[axis]), complex(cell.n_out[axis])
     near, far = (_admittance(waves, permittivity(n), k0) for n in (n_in, n_out))

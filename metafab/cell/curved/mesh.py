@@ -29,6 +29,8 @@ class QuarterMesh:
     #: Middle of the quarter, about which a half turn brings the elements to the other half of a hexagonal lattice's
     #: quarter; None where they fill the quarter.
     turned_about_nm: Point | None = None
+    #: Whether the elements repeat along x and along y, after ``half_nm`` each, instead of ending at mirror planes.
+    repeats: tuple[bool, bool] = (False, False)
 
 
 def is_treated(cell: PillarCell) -> bool:

@@ -25,6 +25,7 @@ from metafab.cell.rcwa.scattering.doubling import pull_back_doubled
 from metafab.cell.rcwa.symmetry import permittivity
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
+from metafab.core.errors import InputError
 
 #: Change of a size in the central differences of an element's sums, nm.
 _STEP_NM = 0.02
@@ -48,9 +49,11 @@ def order_gradients(
 
     For a real function g of the orders, take 2 dg/dt (with t and its conjugate as independent) as weights; the real
     part of the gradient is that of g. ``weights``, shape (k, n_orders, 2), are of each order's E_x and E_y in the k
-    functionals; ``resolution`` is as in :func:`metafab.cell.elements.solve.orders_at`. InputError for pillars that
-    touch, SolverError if the layer is singular.
+    functionals; ``resolution`` is as in :func:`metafab.cell.elements.solve.orders_at`. InputError for pillars
+    that touch or are no rectangles, SolverError if the layer is singular.
     """
+    if faults := supercell.cell.untreated("derivatives by sizes"):
+        raise InputError("supercell", faults)
     order = supercell.propagating_orders(light)
     if supercell.shape[1] == 1 < supercell.shape[0]:
         places = exchanged_places(supercell, light)

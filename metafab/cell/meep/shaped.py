@@ -87,7 +87,7 @@ def _blocks(cell: PillarCell, layers: tuple[Slice, ...], start: float, beyond: f
         if number == films:
             low, high = (low - beyond, high) if upwards else (low, high + beyond)
         if layer.n_inside != layer.n_around and layer.width_nm and layer.length_nm:
-            blocks += _pillar(cell, layer, low, high)
+            blocks += pillar_blocks(cell, layer, (low, high))
     end = float(edges[-1])
     blocks.append(_slab(beyond, -beyond, start, cell.n_in) if upwards else _slab(beyond, end, beyond, cell.n_out))
     return tuple(blocks)
@@ -97,24 +97,36 @@ def _slab(beyond: float, low: float, high: float, n: tuple[complex, complex]) ->
     return Block((-beyond, -beyond, low), (beyond, beyond, high), permittivity(n))
 
 
-def _pillar(cell: PillarCell, layer: Slice, low: float, high: float) -> list[Block]:
-    """The inside of a layer as a prism, or as boxes."""
+def pillar_blocks(
+    cell: PillarCell, layer: Slice, span: tuple[float, float], at: tuple[float, float] = (0.0, 0.0)
+) -> list[Block]:
+    """The inside of a layer as a prism, or as boxes.
+
+    Args:
+        cell: outline of the pillar.
+        layer: sizes and indices of the layer.
+        span: z where it begins and ends, um.
+        at: (x, y) of the pillar, um.
+    """
     assert layer.width_nm is not None and layer.length_nm is not None  # layers_of states both
     half_x, half_y = 5e-4 * layer.width_nm, 5e-4 * layer.length_nm
     epsilon = permittivity((layer.n_inside, layer.n_inside))
-    if cell.shape in {"ellipse", "ring"} or cell.corner_radius_nm:
-        curves = [(half_x, half_y, epsilon)]
-        if cell.shape == "ring":
-            # Both sides of a sloped wall recede alike and may close the hole. Its block comes after the pillar's.
-            half_hole = 5e-4 * (cell.hole_nm + cell.width_nm) - half_x
-            if half_hole > 0.0:
-                curves.append((half_hole, half_hole, permittivity((layer.n_around, layer.n_around))))
-        return [
-            Block((-x, -y, low), (x, y, high), eps, outline=tuple((u, v) for u, v in _curve(cell, x, y).tolist()))
-            for x, y, eps in curves
-        ]
+    is_curved = cell.shape in {"ellipse", "ring"} or cell.corner_radius_nm > 0.0
     arms = {(half_x, half_y), (half_y, half_x)} if cell.shape == "cross" else {(half_x, half_y)}
-    return [Block((-x, -y, low), (x, y, high), epsilon) for x, y in sorted(arms)]
+    parts = [(half_x, half_y, epsilon) for half_x, half_y in sorted(arms)]
+    # Both sides of a ring's sloped wall recede alike and may close the hole. Its block comes after the pillar's.
+    half_hole = 5e-4 * (cell.hole_nm + cell.width_nm) - half_x
+    if cell.shape == "ring" and half_hole > 0.0:
+        parts.append((half_hole, half_hole, permittivity((layer.n_around, layer.n_around))))
+    return [
+        Block(
+            (at[0] - x, at[1] - y, span[0]),
+            (at[0] + x, at[1] + y, span[1]),
+            eps,
+            outline=tuple((at[0] + u, at[1] + v) for u, v in _curve(cell, x, y).tolist()) if is_curved else (),
+        )
+        for x, y, eps in parts
+    ]
 
 
 def _curve(cell: PillarCell, half_x: float, half_y: float) -> FloatArray:

@@ -19,8 +19,9 @@ from metafab.cell.meep.extrapolation import richardson
 from metafab.cell.meep.grid import COURANT, Plan, permittivity, smoothed_plan
 from metafab.cell.meep.pool import Pool, own_pool
 from metafab.cell.meep.protocol import Block
+from metafab.cell.meep.shaped import pillar_blocks
 from metafab.cell.meep.solver import refuse_untreated
-from metafab.cell.pillar import PillarCell
+from metafab.cell.pillar import PillarCell, Slice
 from metafab.cell.supercell import IntArray, Supercell, SupercellOrders, SupercellResponse, relative_rms
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
 from metafab.core.errors import InputError
@@ -148,7 +149,9 @@ def refined_orders(
 
 
 def _walls_on_nodes(supercell: Supercell, pixels_per_period: int) -> bool:
-    """Whether every wall of every pillar lies on a node of the grid."""
+    """Whether every wall of every pillar lies on a node of the grid; walls of curved outlines do not."""
+    if supercell.cell.is_shaped and supercell.cell.shape != "cross":
+        return False
     half_pixels = supercell.size_nm * pixels_per_period / (2.0 * supercell.cell.period_nm[0])
     return bool(np.all(np.abs(half_pixels - np.rint(half_pixels)) < 1e-6))
 
@@ -220,15 +223,13 @@ def _blocks(supercell: Supercell, start: float, beyond: float) -> tuple[Block, .
     def slab(low: float, high: float, n: tuple[complex, complex]) -> Block:
         return Block((-wide, -deep, low), (wide, deep, high), permittivity(n))
 
-    ambient, pillar = (cell.n_ambient, cell.n_ambient), permittivity((cell.n_pillar, cell.n_pillar))
-    low, high = (start - height / 2, end) if cell.side == "substrate" else (start, end + height / 2)
-    blocks = [slab(start, beyond, ambient)]
+    span = (start - height / 2, end) if cell.side == "substrate" else (start, end + height / 2)
+    blocks = [slab(start, beyond, (cell.n_ambient, cell.n_ambient))]
     rows, columns = supercell.shape
     for row, column in np.argwhere(np.all(supercell.size_nm > 0.0, axis=-1)):
-        half_x, half_y = supercell.size_nm[row, column] * 5e-4
+        layer = Slice(cell.height_nm, cell.n_pillar, cell.n_ambient, *supercell.size_nm[row, column].tolist())
         x = (column + 0.5 - columns / 2) * cell.period_nm[0] * 1e-3
         y = (row + 0.5 - rows / 2) * cell.period_nm[1] * 1e-3
-        near = float(x - half_x), float(y - half_y), low
-        blocks.append(Block(near, (float(x + half_x), float(y + half_y), high), pillar))
+        blocks += pillar_blocks(cell, layer, span, (float(x), float(y)))
     blocks.append(slab(-beyond, start, cell.n_in) if cell.side == "substrate" else slab(end, beyond, cell.n_out))
     return tuple(blocks)

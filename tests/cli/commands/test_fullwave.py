@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,14 @@ TURNED = {"width_nm": [[180.0], [150.0], [130.0]], "length_nm": [[120.0], [150.0
 def library_file(smooth_library: Library, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("library") / "smooth.h5"
     library.save(smooth_library, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def circles_file(smooth_library: Library, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("circles") / "circles.h5"
+    cell = smooth_library.unit_cell
+    library.save(replace(smooth_library, unit_cell=replace(cell, cell=replace(cell.cell, shape="circle"))), path)
     return path
 
 
@@ -66,3 +75,20 @@ def test_a_library_without_a_model_says_how_to_make_one(library_file: Path, tmp_
     answer = metafab("fullwave", tmp_path / "missing.json", "--library", library_file, "--json")
     assert (answer.code, answer.stdout) == (2, "")
     assert "JSON file" in answer.stderr
+
+
+def test_a_row_of_circles_is_solved_and_keeps_its_power(circles_file: Path, tmp_path: Path) -> None:
+    circles = {"width_nm": [[120.0, 180.0]], "length_nm": [[120.0, 180.0]]}
+    options = "--library", circles_file, "--solver", "rcwa", "--target-error", "0.5", "--json"
+    answer = metafab("fullwave", _asked(tmp_path, circles), *options)
+    assert answer.code == 0, answer.stderr
+    (block,) = answer.json["blocks"]
+    assert block["orders"] == [[0, 0]]
+    # Silicon absorbs little: what is not transmitted is reflected.
+    for name in ("t_xx", "t_yy"):
+        assert 0.1 < np.sum(np.square(block[name])) / 1.7601 < 1.0
+    assert 0.0 < block["error"] < 0.1
+    oval = {"width_nm": [[120.0, 180.0]], "length_nm": [[120.0, 130.0]]}
+    answer = metafab("fullwave", _asked(tmp_path, oval), *options)
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "`length_nm` equal to `width_nm` for circles" in answer.stderr

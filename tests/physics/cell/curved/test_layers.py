@@ -12,7 +12,7 @@ from scipy.special import jv, jvp, kv, kvp
 
 from metafab.cell import PillarCell, Slice
 from metafab.cell.curved.functions import functions_of
-from metafab.cell.curved.layers import QuarterMatrices, zero_order
+from metafab.cell.curved.layers import MeshMatrices, zero_order
 from metafab.cell.curved.mesh import quarter_mesh
 from metafab.cell.rcwa import jones
 from metafab.cell.rcwa.jones import distance
@@ -45,7 +45,7 @@ def _he11_index(radius_nm: float, n: float, wavelength_nm: float) -> float:
 def test_the_fundamental_mode_of_a_rod_is_that_of_a_fibre() -> None:
     """A cell so wide that the mode's tail in its neighbours, exp(-2 w) of it, shifts the index by less than 1e-6."""
     rod = replace(CIRCLE, period_nm=(900.0, 900.0), width_nm=300.0, length_nm=300.0)
-    matrices = QuarterMatrices.of(functions_of(quarter_mesh(rod), "x", 7), axis=0)
+    matrices = MeshMatrices.of(functions_of(quarter_mesh(rod), "x", 7), axes=[0])
     p, q = matrices.of_layer(Slice(800.0, 2.461, 1.0), rod.k0_per_nm)
     index = math.sqrt(np.linalg.eigvals(p @ q).real.max())
     assert index == pytest.approx(_he11_index(150.0, 2.461, 532.0), abs=3e-6)

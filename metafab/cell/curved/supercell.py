@@ -1,0 +1,137 @@
+"""Layers of supercells of ellipses: the elements of each pillar's quarter cell, mirrored and repeated.
+
+A row keeps the mirror about its axis: its upper half is solved for each light alone. A block has all quarters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from metafab.cell.curved.functions import functions_of
+from metafab.cell.curved.layers import MeshMatrices
+from metafab.cell.curved.mesh import QuarterMesh, untreated
+from metafab.cell.curved.quads import Arc, Point, Quad
+from metafab.cell.elements.assembly import Layer, RealWaves
+from metafab.cell.pillar import PillarCell, Slice
+from metafab.cell.rcwa.basis.coordinates import IntArray
+from metafab.cell.supercell import Supercell
+from metafab.core.conventions import POLARISATIONS, Polarisation
+from metafab.core.errors import Fault, InputError
+
+#: Square in the middle of a pillar, over the pillar's size.
+_SQUARE = 0.45
+#: Sectors of half a pillar and of a whole one: the angles where they begin and end, and whether they do so along x.
+_QUARTER = 0.25 * math.pi
+_HALF = ((0.0, _QUARTER, False), (3.0 * _QUARTER, _QUARTER, True), (4.0 * _QUARTER, 3.0 * _QUARTER, False))
+_WHOLE = (
+    (-_QUARTER, _QUARTER, False),
+    (3.0 * _QUARTER, _QUARTER, True),
+    (5.0 * _QUARTER, 3.0 * _QUARTER, False),
+    (5.0 * _QUARTER, 7.0 * _QUARTER, True),
+)
+#: Diameter of the elements of a site without a pillar, as a share of the period.
+_EMPTY_SITE = 0.5
+
+
+def polynomial_order(resolution: float) -> int:
+    """Polynomial order of all elements at a resolution."""
+    return math.floor(resolution) + 1
+
+
+def count_functions(supercell: Supercell, resolution: float) -> int:
+    """Number of functions of the transverse E at a resolution, apart from those of a row's mirror planes."""
+    return 2 * polynomial_order(resolution) ** 2 * len(supercell_mesh(supercell).quads)
+
+
+def curved_layer(supercell: Supercell, lights: Sequence[Polarisation], resolution: float, order: IntArray) -> Layer:
+    """Layer of a row along x for one light, or of a block for several.
+
+    Args:
+        supercell: ellipses.
+        lights: incident polarisations.
+        resolution: see :func:`polynomial_order`.
+        order: shape (n_orders, 2), transmitted orders.
+
+    Raises:
+        InputError: a pillar has no elements.
+    """
+    mesh, cell = supercell_mesh(supercell), supercell.cell
+    functions = functions_of(mesh, lights[0], polynomial_order(resolution))
+    axes = [POLARISATIONS.index(light) for light in lights]
+    of = MeshMatrices.of(functions, axes)
+    (k_tm, tm), (k_te, te) = of.waves()
+    count = len(lights)
+    uniform = np.zeros((2, len(of.e)))
+    uniform[axes] = te[:, :count].T
+    orders = np.zeros((len(order), 2, len(of.e)), dtype=np.complex128)
+    k = supercell.wavevectors_per_um(order) * 1e-3
+    for each in functions.elements:
+        x, y = np.exp(-1j * np.outer(k[:, 0], each.at[0])), np.exp(-1j * np.outer(k[:, 1], each.at[1]))
+        for axis in range(2):
+            # Over both halves of a row: the light's component is even about its axis, the other one odd.
+            along_y = y if len(lights) > 1 or all(mesh.repeats) else y.real if axis == axes[0] else 1j * y.imag
+            orders[:, axis, each.place] += (x * along_y * each.weight) @ each.e[axis].T
+    p, q = of.of_layer(Slice(cell.height_nm, cell.n_pillar, cell.n_ambient), cell.k0_per_nm)
+    waves = RealWaves(k_tm, tm.T), RealWaves(k_te[count:], te[:, count:].T)
+    return Layer(p, q, *waves, uniform, orders / of.area_nm2, of.area_nm2)
+
+
+def supercell_mesh(supercell: Supercell) -> QuarterMesh:
+    """Elements of a block, or of the upper half of a row along x; InputError for a pillar that has none."""
+    # An element between two sites has two different sites at its ends.
+    sizes = np.tile(supercell.size_nm, (1, 2, 1)) if supercell.shape[1] == 1 else supercell.size_nm
+    (n_y, n_x), period = sizes.shape[:2], supercell.cell.period_nm
+    is_row = n_y == 1
+    quads: list[Quad] = []
+    for row, column in np.ndindex(n_y, n_x):
+        size = tuple(sizes[row, column].tolist())
+        solid = all(size)
+        width, length = size if solid else [_EMPTY_SITE * each for each in period]
+        cell = replace(supercell.cell, width_nm=width, length_nm=length)
+        faults = untreated(cell)
+        if cell.shape != "ellipse":
+            outline = "crosses" if cell.shape == "cross" else "rounded corners"
+            faults = [Fault("shape", "rectangles, circles or ellipses for supercells by rcwa", outline)]
+        if faults:
+            raise InputError("supercell", [replace(fault, remedy="use meep") for fault in faults])
+        middle = (column + 0.5 - n_x / 2) * period[0], (row + 0.5 - n_y / 2) * period[1]
+        quads += _site(cell, middle, solid=solid, is_half=is_row)
+    ends = n_x * period[0], (0.5 if is_row else n_y) * period[1]
+    return QuarterMesh(tuple(quads), ends, repeats=(True, not is_row))
+
+
+def _site(cell: PillarCell, middle: Point, *, solid: bool, is_half: bool) -> Iterator[Quad]:
+    """A square in the middle of a pillar, then one element a sector to its outline, and one from there to the period.
+
+    In all sectors, coordinates run outwards, and along +x or +y: sides that neighbours share have one sense.
+    """
+    radius, half = (0.5 * cell.width_nm, 0.5 * cell.length_nm), (0.5 * cell.period_nm[0], 0.5 * cell.period_nm[1])
+    square = _SQUARE * radius[0], _SQUARE * radius[1]
+
+    def place(half_sizes: Point, turn: float, *, on_arc: bool) -> Point:
+        """A point of an ellipse, or of a rectangle at its corners and in the middle of its sides."""
+        along = math.cos(turn), math.sin(turn)
+        x, y = (size * (at if on_arc else round(at)) for size, at in zip(half_sizes, along, strict=True))
+        return middle[0] + x, middle[1] + y
+
+    def corner(sign_x: float, sign_y: float) -> Point:
+        return middle[0] + sign_x * square[0], middle[1] + sign_y * square[1]
+
+    low = 0.0 if is_half else -1.0
+    yield Quad((corner(-1.0, low), corner(1.0, low), corner(1.0, 1.0), corner(-1.0, 1.0)), solid)
+    for inner, outer, of_arc in ((square, radius, 1), (radius, half, 0)):
+        for begin, end, along_x in _HALF if is_half else _WHOLE:
+            one, two = (place(inner, turn, on_arc=not of_arc) for turn in (begin, end))
+            three, four = (place(outer, turn, on_arc=bool(of_arc)) for turn in (end, begin))
+            arc, inside = Arc(middle, radius, begin, end), solid and bool(of_arc)
+            gathered = 1 if of_arc else -1
+            if along_x:
+                side = {("bottom", "top")[of_arc]: arc}
+                yield Quad((one, two, three, four), inside, gathered=(0, gathered), **side)
+            else:
+                side = {("left", "right")[of_arc]: arc}
+                yield Quad((one, four, three, two), inside, gathered=(gathered, 0), **side)
