@@ -8,7 +8,7 @@ own error, a share of the texture's energy that the segments' interiors show.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,7 @@ from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.matching.semi_global import cheapest_levels
 from metafab.decode.segmentation.distance import distance, nearest
+from metafab.decode.segmentation.planes import Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.segments import Regions
 
@@ -44,6 +45,11 @@ _CHANGE, _JUMP = 0.65, 6.5
 _REFITS = 3
 #: Square of a pixel's distance from its segment, in standard errors, from which it is an outlier.
 _OUTLIER = 16.0
+#: A surface is curved where a plane's misfit is above the first number and a quadric leaves less than this share of it:
+#: a ball 8.7 and 0.15, walls behind outlines up to 2.4 and 0.8. Last: the share for several segments, against theirs.
+_UNFIT_PLANE, _CURVED_SHARE, _RINGS_SHARE = 2.6, 0.5, 0.93
+#: Least relative change of vergence by curvature; fewest pixels; one of so many is fitted: windows overlap.
+_SMALLEST_RISE, _FEWEST_CURVED, _FITTED_SHARE = 5e-3, 200, 4
 
 
 @dataclass(frozen=True)
@@ -244,16 +250,61 @@ def plane_misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_]
     for one in np.unique(number[number > 0]).tolist():
         mask = number == one
         row, column = (axis[mask].astype(np.float64) for axis in place)
-        away[mask] = _plane_residual(away[mask], error[mask], free, row, column)
+        away[mask] -= _robust_fit(_monomials(row, column)[0][:, :free] / error[mask][:, None], away[mask])[0]
+    return _mean_square(away)
+
+
+def curved_surface(regions: Regions, pixels: PixelDepth, numbers: Sequence[int]) -> Plane | None:
+    """Quadric through the depths of the pixels of one or several segments; None where planes explain them as well.
+
+    Args:
+        pixels: depth of each pixel.
+        numbers: of the segments, from 1. Layers cut a curved surface into rings that touch each other.
+    """
+    inside = np.flatnonzero(pixels.claimed & np.isin(regions.grown if len(numbers) > 1 else regions.interior, numbers))
+    if inside.size < _FEWEST_CURVED:
+        return None
+    fitted = np.zeros(regions.label.shape, dtype=bool)
+    fitted.flat[inside[::_FITTED_SHARE]] = True
+    of_planes = plane_misfit(regions, pixels, fitted, 3)
+    if len(numbers) == 1 and of_planes < _UNFIT_PLANE:
+        return None
+    vergence = pixels.vergence_per_m[fitted]
+    error, middle = pixels.relative_error[fitted] * vergence, float(np.median(vergence))
+    monomials, centre, half = _monomials(*(axis.astype(np.float64) for axis in np.nonzero(fitted)))
+    away = (vergence - middle) / error
+    on_quadric, quadric = _robust_fit(monomials / error[:, None], away)
+    bend = float(np.ptp(monomials[:, 3:] @ quadric[3:]))
+    share = _CURVED_SHARE if len(numbers) == 1 else _RINGS_SHARE
+    if _mean_square(away - on_quadric) > share * of_planes or bend < _SMALLEST_RISE * middle:
+        return None
+    rise, y, x, yy, yx, xx = (quadric / half ** np.array([0, 1, 1, 2, 2, 2])).tolist()
+    return Plane(middle + rise, (y, x), centre, (yy, yx, xx))
+
+
+def _mean_square(away: FloatArray) -> float:
+    """Mean square of distances in standard errors, each at most that of an outlier; NaN counts as one."""
     return float(np.minimum(np.nan_to_num(away * away, nan=_OUTLIER), _OUTLIER).mean())
 
 
-def _plane_residual(away: FloatArray, error: FloatArray, free: int, row: FloatArray, column: FloatArray) -> FloatArray:
-    """Residual of a plane of ``free`` parameters, fitted to distances in standard errors by robust least squares."""
-    design = np.stack([np.ones_like(row), row - row.mean(), column - column.mean()][:free], axis=1) / error[:, None]
-    left = away
+def _monomials(row: FloatArray, column: FloatArray) -> tuple[FloatArray, tuple[float, float], float]:
+    """1, y, x, y^2, y x and x^2 of places from their middle, over half their extent: shape (n, 6); middle and half."""
+    middle = float(row.mean()), float(column.mean())
+    half = max(1.0, 0.5 * float(np.ptp(row)), 0.5 * float(np.ptp(column)))
+    y, x = (row - middle[0]) / half, (column - middle[1]) / half
+    return np.stack([np.ones_like(y), y, x, y * y, y * x, x * x], axis=1), middle, half
+
+
+def _robust_fit(design: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Robust least squares of values in standard errors, most of them small, by a design of shape (n, n_free).
+
+    Returns:
+        The fitted values, shape (n,), and the factors of the design's columns, (n_free,).
+    """
+    fitted, factors = np.zeros_like(values), np.zeros(design.shape[1])
     for _ in range(_REFITS):
-        weight = 1.0 / (1.0 + left * left / _OUTLIER)
+        weight = 1.0 / (1.0 + (values - fitted) ** 2 / _OUTLIER)
         normal = design.T @ (design * weight[:, None])
-        left = away - design @ (np.linalg.pinv(normal, hermitian=True) @ (design.T @ (weight * away)))
-    return left
+        factors = np.linalg.pinv(normal, hermitian=True) @ (design.T @ (weight * values))
+        fitted = design @ factors
+    return fitted, factors

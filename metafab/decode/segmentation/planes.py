@@ -47,24 +47,35 @@ _DEGENERATE = 1e-9
 
 @dataclass(frozen=True)
 class Plane:
-    """Vergence that is linear over the picture."""
+    """Vergence that is linear over the picture, or quadratic on a curved surface."""
 
     vergence_per_m: float  #: 1/depth at ``centre``.
     #: Its change per downsampled pixel along (y, x); (0, 0) for one depth.
     slope_per_m: tuple[float, float] = (0.0, 0.0)
     centre: tuple[float, float] = (0.0, 0.0)  #: (row, column), downsampled pixels.
+    #: Factors of y^2, y x and x^2 from the centre, per squared downsampled pixel; (0, 0, 0) for a plane.
+    curvature_per_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
     def tilted(self) -> bool:
-        """Whether the plane has more than one depth."""
-        return self.slope_per_m != (0.0, 0.0)
+        """Whether the surface has more than one depth."""
+        return self.slope_per_m != (0.0, 0.0) or self.curved
+
+    @property
+    def curved(self) -> bool:
+        """Whether the surface is no plane."""
+        return self.curvature_per_m != (0.0, 0.0, 0.0)
 
     def at(self, row: FloatArray, column: FloatArray) -> FloatArray:
         """1/depth (1/m) at places in downsampled pixels, scalars or arrays that broadcast.
 
         It is at least a hundredth of that at the centre.
         """
-        rise = self.slope_per_m[0] * (row - self.centre[0]) + self.slope_per_m[1] * (column - self.centre[1])
+        y, x = row - self.centre[0], column - self.centre[1]
+        rise = self.slope_per_m[0] * y + self.slope_per_m[1] * x
+        if self.curved:
+            yy, yx, xx = self.curvature_per_m
+            rise = rise + yy * y**2 + yx * y * x + xx * x**2
         return np.maximum(self.vergence_per_m + rise, 0.01 * self.vergence_per_m)
 
     def moved(self, rows: int, columns: int) -> Plane:

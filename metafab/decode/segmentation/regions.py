@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_opening
+from scipy.sparse.csgraph import connected_components
 
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR, right_segment
@@ -17,6 +18,7 @@ from metafab.decode.segmentation.distance import distance
 from metafab.decode.segmentation.fit import (
     Misfit,
     across_outlines,
+    curved_surface,
     fitting_segments,
     log_misfit,
     misfit_at,
@@ -294,20 +296,19 @@ def _find_regions(
         return Regions(0, (), none, none, none)
     regions = _of_layers_or_planes(segmentation, coarse, refined=refined)
     inside = pixels.claimed & (regions.interior > 0)
-    if not (refined and inside.any() and inside.size <= _MOST_SURFACE_PIXELS):
+    if not (refined and inside.any()):
         return regions
-    if plane_misfit(regions, pixels, inside, _TILTED) < _UNFIT:
+    planes = curved_and_planes(regions, pixels, segmentation.separation_per_m)
+    if any(plane.curved for plane in planes):
+        curved = segmentation.of_planes(planes)
+        if len(curved.depths) <= len(regions.depths) and segmentation.explained_better(curved, regions):
+            return curved
+    if inside.size > _MOST_SURFACE_PIXELS or plane_misfit(regions, pixels, inside, _TILTED) < _UNFIT:
         return regions
     surfaces = segmentation.of_surfaces()
     if surfaces is None or len(surfaces.depths) >= len(regions.depths):
         return regions
-    both = pixels.claimed & (regions.grown > 0) & (surfaces.grown > 0)
-
-    def left(of: Regions) -> float:
-        products = volume.at(np.where(both, of.vergence_per_m(of.grown), volume.vergences_per_m[0])[None])
-        return float(log_misfit(prepared, products[:, 0], volume.noise_gain)[both].mean())
-
-    return surfaces if both.any() and left(surfaces) < left(regions) else regions
+    return surfaces if segmentation.explained_better(surfaces, regions) else regions
 
 
 def _of_layers_or_planes(segmentation: _Segmentation, coarse: list[Plane], *, refined: bool) -> Regions:
@@ -334,6 +335,26 @@ def _of_layers_or_planes(segmentation: _Segmentation, coarse: list[Plane], *, re
     # Outliers leave a segment's depth only later: finer layers may move, but a slope must not pass for their steps.
     moved, tilted = plane_misfit(of_noise, pixels, inside, _MOVED), plane_misfit(regions, pixels, inside, _TILTED)
     return of_noise if moved < _CLEARLY_BETTER * tilted else regions
+
+
+def curved_and_planes(regions: Regions, pixels: PixelDepth, separation_per_m: float) -> list[Plane]:
+    """Quadrics of the segments that lie on those and on no planes, and the distinct planes of all others."""
+    count = len(regions.depths) + 1
+    vergence = np.array([np.inf, *(depth.vergence_per_m for depth in regions.depths)])
+    near = np.abs(vergence[1:, None] - vergence[1:]) < separation_per_m
+    groups, group = connected_components(near & adjacency(regions.grown, count)[1:, 1:])
+    curved: list[Plane] = []
+    remaining = np.zeros(count, dtype=np.int32)
+    planes: list[Plane] = []
+    for numbers in (1 + np.flatnonzero(group == one) for one in range(groups)):
+        surface = curved_surface(regions, pixels, numbers.tolist())
+        if surface is not None:
+            curved.append(surface)
+            continue
+        for number in numbers.tolist():
+            planes.append(regions.depths[number - 1].plane)
+            remaining[number] = len(planes)
+    return curved + distinct_planes(planes, remaining[regions.label], separation_per_m)
 
 
 def distinct_layers(regions: Regions, layers: list[Plane]) -> list[Plane]:
@@ -385,8 +406,11 @@ def planes_across(cells: Cells, side: int, volume: CostVolume, pixels: PixelDept
 
 
 def measured_depth(volume: CostVolume, cells: Cells, layer: Plane) -> SegmentDepth | None:
-    """Depth of a segment from its cells: tilted if they, or else its layer, are tilted; None if it has none."""
-    plane = fit_plane(cells) or layer
+    """Depth of a segment from its cells: tilted if they, or else its layer, are tilted; None if it has none.
+
+    A curved layer keeps its shape.
+    """
+    plane = layer if layer.curved else fit_plane(cells) or layer
     if plane.tilted and cells.pixels.size:
         depth = segment_depth(volume, cells.sheared(volume, plane), float(cells.pixels.sum()), plane)
     else:
@@ -425,6 +449,17 @@ class _Segmentation:
     def layers(self) -> list[Plane]:
         """Layers of one depth at the peaks of the pixels' depths."""
         return [Plane(vergence) for vergence in depth_layers(self.pixels, self.separation_per_m).tolist()]
+
+    def explained_better(self, regions: Regions, than: Regions) -> bool:
+        """Whether less of the twins is left at the depths of some segments than at those of others."""
+        volume = self.volume
+        both = self.pixels.claimed & (regions.grown > 0) & (than.grown > 0)
+
+        def left(of: Regions) -> float:
+            products = volume.at(np.where(both, of.vergence_per_m(of.grown), volume.vergences_per_m[0])[None])
+            return float(log_misfit(self.prepared, products[:, 0], volume.noise_gain)[both].mean())
+
+        return bool(both.any()) and left(regions) < left(than)
 
     def of_planes(self, planes: list[Plane]) -> Regions:
         """Segments of planes, and of the depths of pixels that clearly lie on none of them.
