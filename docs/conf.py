@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from sphinx.domains.python import PythonDomain
+
 from metafab import __version__
 
 sys.path.insert(0, str(Path(__file__).parent))  # where `device_gallery` and `key_reference` lie
@@ -61,6 +63,21 @@ def _plain_english(app: Any, what: str, name: str, item: Any, options: Any, line
         lines[:1] = lines[0].split(" ", 1)
 
 
+class _OurNames(PythonDomain):
+    """Python domain that searches for names of ours alone: most types of signatures are Python's or NumPy's."""
+
+    def find_obj(self, env: Any, modname: str, classname: str, name: str, *how: Any) -> list[tuple[str, Any]]:
+        """As the base class; a name whose last part no object has is not compared with every object."""
+        if len(self.objects) != self._counted:
+            self._counted, self._last = len(self.objects), {each.rpartition(".")[2] for each in self.objects}
+        if name.removesuffix("()").rpartition(".")[2] not in self._last:
+            return []
+        return super().find_obj(env, modname, classname, name, *how)
+
+    _counted, _last = 0, frozenset[str]()
+
+
 def setup(app: Any) -> None:
-    """Register the docstring filter; it runs before napoleon adds markup of its own."""
+    """Register the domain and the docstring filter, which runs before napoleon adds markup of its own."""
+    app.add_domain(_OurNames, override=True)
     app.connect("autodoc-process-docstring", _plain_english, priority=100)

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 #: The library that was opened last, shared by the steps of a run.
 _OPENED: Latest[Library] = Latest()
+#: Figures of the library that was judged last, for runs of several designs in one process.
+_JUDGED: Latest[LibraryFigures] = Latest()
 
 
 @dataclass(frozen=True)
@@ -155,9 +157,10 @@ def _is_swept(nominal: Design, design: Design) -> bool:
 
 
 def _library(job: Job) -> LibraryFigures:
-    figures = LibraryFigures.of(open_library(job), relative_to(job.folder, library_path(job)))
+    library, path = open_library(job), library_path(job)
+    figures = _JUDGED.of((file_mark(path), library.inputs_sha256), lambda: LibraryFigures.of(library, ""))
     libraries(job)
-    return figures
+    return replace(figures, file=relative_to(job.folder, path))
 
 
 def _library_files(job: Job) -> tuple[Path, ...]:

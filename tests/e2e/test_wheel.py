@@ -33,14 +33,26 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     environment = folder / "clean"
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(environment)], check=True)
     packages = next((environment / "lib").glob("python*/site-packages"))
-    install = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index"]
+    install = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--no-compile"]
     wheel = next(folder.glob("metafab-*.whl"))
     python = str(environment / "bin" / "python")
     subprocess.run([*install[:3], "--python", python, *install[3:], str(wheel)], check=True, capture_output=True)
     # A path file adds this environment's packages, but not its editable metafab: that hangs on path files of its own.
     (packages / "needed.pth").write_text(sysconfig.get_path("purelib"), encoding="utf-8")
+    _copy_compiled(ROOT / "metafab", packages / "metafab")
     shutil.rmtree(source)
     return environment / "bin" / "metafab"
+
+
+def _copy_compiled(source: Path, installed: Path) -> None:
+    """Give the installed files the compiled code of equal ones; Python and numba know a file by its time and size."""
+    for file in installed.rglob("*.py"):
+        equal = source / file.relative_to(installed)
+        assert file.read_bytes() == equal.read_bytes()
+        for code in (equal.parent / "__pycache__").glob(f"{file.stem}.*"):
+            (file.parent / "__pycache__").mkdir(exist_ok=True)
+            shutil.copy(code, file.parent / "__pycache__")
+        shutil.copystat(equal, file)
 
 
 def _output(*arguments: str | Path, folder: Path) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 import re
 import secrets
@@ -80,6 +81,8 @@ def plain(value: Any, *, full_paths: bool = True) -> Any:
     A field made by :func:`metafab.core.storage.tables.optional` is left out where it is None. Without ``full_paths``,
     paths, and texts that name a table of an index (.csv), lose their folder.
     """
+    if type(value) is float:  # the most frequent type comes first
+        return value if math.isfinite(value) else None if math.isnan(value) else "inf" if value > 0.0 else "-inf"
     convert = partial(plain, full_paths=full_paths)
     if is_dataclass(value) and not isinstance(value, type):
         items = [(item, getattr(value, item.name)) for item in fields(value)]
@@ -89,13 +92,12 @@ def plain(value: Any, *, full_paths: bool = True) -> Any:
     if isinstance(value, list | tuple | set | frozenset):
         return [convert(item) for item in value]
     if isinstance(value, np.ndarray):
-        return convert(value.tolist())
+        is_plain = value.dtype.kind in "biuf" and bool(np.isfinite(value).all())
+        return value.tolist() if is_plain else convert(value.tolist())
     if isinstance(value, np.generic):
         return convert(value.item())
     if isinstance(value, complex):
         return [value.real, value.imag]
-    if isinstance(value, float) and not np.isfinite(value):
-        return None if np.isnan(value) else ("inf" if value > 0 else "-inf")
     if isinstance(value, Path):
         return value.as_posix() if full_paths else value.name
     if isinstance(value, str) and not full_paths and value.lower().endswith(".csv"):

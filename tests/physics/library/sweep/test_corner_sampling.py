@@ -22,7 +22,7 @@ SILICON, TITANIA = None, 2.4
     [
         ("height_nm", (590.0, 610.0), 607.3, SILICON, 1e-2),
         ("pillar_n_shift", (-0.0135, 0.0135), 0.011, SILICON, 1e-2),
-        ("corner_radius_nm", (0.0, 45.0), 33.0, TITANIA, 2e-2),
+        ("corner_radius_nm", (0.0, 25.0), 18.0, TITANIA, 2e-2),
         ("angle_x_deg", (0.0, 8.0), 6.1, TITANIA, 1e-2),
         ("sidewall_angle_deg", (88.5, 90.0), 89.1, TITANIA, 2e-2),  # steps of sloped walls are dear
     ],
