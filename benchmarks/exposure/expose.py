@@ -150,7 +150,7 @@ def _file(pillars: PillarMap, dosed: Exposure, design: Any, folder: Path) -> dic
     classed = replace(plain, mask=replace(plain.mask, dose=Dose(by="proximity", classes=len(dosed.class_dose))))
     before = mask.write(pillars, folder / "plain", plain)[0].bytes
     with measured() as cost:
-        file = mask.write(pillars, folder / "classes", classed, dose_class=dosed.dose_class)[0]
+        file = mask.write(pillars, folder / "classes", classed, dose_class=(dosed.dose_class,))[0]
     back = mask.read(file.path, classed).pillars
     differ = np.count_nonzero(np.any(pillars.size_nm()[pillars.to_array()] != back.size_nm()[back.to_array()], axis=-1))
     further = {"bytes": file.bytes, "bytes_over_plain": file.bytes / before}

@@ -63,6 +63,17 @@ KNOWN = {
     "height_nm": (585.0, 615.0),  # 2.5 % of the film's thickness: an assumption
     "proximity_nm": (-2.0, 2.0),  # largest difference of printed and drawn size without correction
 }
+#: Light in the wrong image over that in the right one, without the crystal, each with its source; uniform.
+UNWANTED = {
+    "polariser": (0.0, 1e-3),  # stated: extinction above 1000
+    # A block of 5 x 5 pillars (Meep): amplitude 0.065, 0.0042 of the light, 0.883 wanted. All of it in the wrong image.
+    "cross-polarised light of neighbours": (0.0, 0.0048),
+    "other image's pillars": (1.0 / 9860.0, 1.0 / 9860.0),  # the written file
+}
+#: Errors of alignment: of polariser against lens and of lens against crystal, and tilt of the wafer; deg, assumptions.
+_ROTATION_DEG, _TILT_DEG = 2.0, 1.0
+#: Thickness that changes the retardance as much as a degree of tilt: 0.041 waves of 3.26 in 460 um.
+_UM_PER_DEG = 5.8
 #: Relative error of propagation and solver, standard deviation: their target errors.
 _NUMERICAL_ERROR = 5e-3
 #: Reading error of a power meter, relative, standard deviation: an assumption.
@@ -279,6 +290,8 @@ class MadeLens:
     predicted: float  #: Product of these factors.
     #: Efficiency that known factors and their uncertainties give, by what is included.
     predictions: dict[str, Interval]
+    #: Extinction ratio that the known causes give, by the lens' rotation against the crystal.
+    extinctions: dict[str, Interval]
     missing: float  #: Measured mean efficiency over ``predicted``.
     #: 5, 50 and 95 % of the compatible draws with pillars too small and too large, by wall angle; None where none is.
     bias_nm: dict[str, dict[str, Interval | None]]
@@ -354,6 +367,7 @@ def explain(folder: Path, aperture_um: float) -> tuple[MadeLens, Explanation, di
         chain,
         predicted,
         predictions(known, predicted, relative, extinction),
+        extinctions(),
         mean / predicted,
         biases,
         Interval.of(drawn["wall_deg"], weight),
@@ -393,6 +407,28 @@ def predictions(
     causes = plain * drawn["beam on the aperture"] / (1.0 + rng.uniform(0.0, 1.0 / extinction, _DRAWS))
     found = {"with correction": corrected, "without correction": plain, "with all known causes": causes}
     return {name: Interval.of(values, np.ones(_DRAWS)) for name, values in found.items()}
+
+
+def extinctions() -> dict[str, Interval]:
+    """Extinction ratio from the crystal, errors of alignment, and :data:`UNWANTED`, by draws."""
+    rng = np.random.default_rng(_SEED)
+    unwanted = np.tan(np.radians(rng.uniform(-_ROTATION_DEG, _ROTATION_DEG, _DRAWS))) ** 2
+    for span in UNWANTED.values():
+        unwanted += rng.uniform(*span, _DRAWS)
+    thickness_um = rng.uniform(*RANGES["thickness_um"], _DRAWS) + _UM_PER_DEG * rng.uniform(
+        -_TILT_DEG, _TILT_DEG, _DRAWS
+    )
+    error_deg = rng.uniform(-_ROTATION_DEG, _ROTATION_DEG, _DRAWS)
+    rotations = {
+        "aligned with the crystal": error_deg,
+        "parallel to a flat at 45 degrees": 45.0 + error_deg,
+        "at any rotation": rng.uniform(*RANGES["azimuth_deg"], _DRAWS),
+    }
+    none = np.ones(_DRAWS)
+    return {
+        name: Interval.of(1.0 / (unwanted + ghost_over_own(azimuth_deg, thickness_um)), none)
+        for name, azimuth_deg in rotations.items()
+    }
 
 
 def _largest_rotation_deg(thickness_um: float, extinction: float) -> float:
@@ -513,6 +549,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
         made = explain(Path(folder), design.device.aperture_um)[0]
     factors = [{"name": f"factor: {name}", "factor": factor} for name, factor in made.chain.items()]
     factors += [{"name": f"predicted {name}", **asdict(value)} for name, value in made.predictions.items()]
+    factors += [{"name": f"extinction ratio {name}", **asdict(value)} for name, value in made.extinctions.items()]
     alone = [{"name": f"known factors and {name}", "efficiency": value} for name, value in made.alone.items()]
     sets = [{**asdict(case), "name": f"explains the made lens: {case.name}"} for case in made.candidates]
     return [check, *factors, *alone, *sets]

@@ -3,6 +3,7 @@
 - ``electrons``  the beam's point-spread function: presets, terms, tables, Monte Carlo simulation
 - ``energy``     energy in the resist at every pillar of a lens
 - ``printing``   printed edges by the threshold model
+- ``correction``  corrected doses of several lenses, and their classes
 - ``sums``       compiled loops over pillars
 - ``prediction``  printed sizes of all pillars: statistics, map, process window
 - ``beside_lens``  what a mask holds beside a lens: other copies, frame, text, test structures
@@ -21,7 +22,15 @@ from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.electrons.process import beam_psf, exposure_process
 from metafab.exposure.energy.beside import Beside, OtherLens
 from metafab.exposure.energy.resist import ResistEnergy
-from metafab.exposure.expose import Exposure, ExposureFigures, ExposureNumerics, SampledPillar, expose
+from metafab.exposure.expose import (
+    ExposedLens,
+    Exposure,
+    ExposureFigures,
+    ExposureNumerics,
+    SampledPillar,
+    expose,
+    expose_lenses,
+)
 from metafab.exposure.record import ExposureRecord, SizeErrors, load_record, save_record
 from metafab.spec.mask import BeamTerm
 
@@ -29,6 +38,7 @@ __all__ = [
     "BeamPsf",
     "BeamTerm",
     "Beside",
+    "ExposedLens",
     "Exposure",
     "ExposureFigures",
     "ExposureNumerics",
@@ -39,6 +49,7 @@ __all__ = [
     "SizeErrors",
     "beam_psf",
     "expose",
+    "expose_lenses",
     "exposure_process",
     "load_record",
     "save_record",

@@ -6,21 +6,28 @@ gives the number of shapes on their layers.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import logging
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from metafab import mask
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.core.parallel.progress import Progress
 from metafab.exposure.energy.beside import Beside, OtherLens
 from metafab.exposure.energy.far import REACH
 from metafab.exposure.energy.shapes import strips
-from metafab.layout import Outline, lattice_of
+from metafab.exposure.expose import ExposedLens
+from metafab.layout import Outline, PillarMap, lattice_of
 from metafab.mask import ReadBack, shapes_beside
 from metafab.mask.drawing.copies import lens_copies, lens_copy
 from metafab.spec import Design
+
+_log = logging.getLogger(__name__)
 
 Dose = Literal["counted", "out of reach", "first exposure", "not the design's"]
 
@@ -39,11 +46,8 @@ class ShapesBeside:
     dose: Dose
 
 
-def copies_in_reach(design: Design, copy: int, range_nm: float) -> tuple[int, ...]:
-    """Return the numbers of the other copies whose squares lie within reach of Gaussians up to a range.
-
-    InputError if the design has no such copy.
-    """
+def _in_reach(design: Design, copy: int, range_nm: float) -> tuple[int, ...]:
+    """Numbers of the other copies whose squares lie within reach of Gaussians up to a range."""
     lattice, copies = lattice_of(design), lens_copies(design)
     here, reach_dbu = lens_copy(design, copy), REACH * range_nm / lattice.database_unit_nm
     sides = [count * period for count, period in zip(lattice.shape[::-1], lattice.period_dbu, strict=True)]
@@ -56,25 +60,84 @@ def copies_in_reach(design: Design, copy: int, range_nm: float) -> tuple[int, ..
     )
 
 
-def beside_lens(
-    design: Design, back: ReadBack, copy: int, range_nm: float
-) -> tuple[Beside | None, tuple[ShapesBeside, ...]]:
-    """Return what is exposed in reach of one lens of a mask (None for nothing), and a list of all beside the lens.
+def read_lenses(
+    path: Path,
+    design: Design,
+    copy: int,
+    range_nm: float,
+    progress: Progress,
+    *,
+    together: bool = False,
+) -> tuple[tuple[ExposedLens, ...], tuple[ShapesBeside, ...]]:
+    """Read a lens of a mask with what is exposed in its reach, and a list of all beside it.
+
+    Shapes that the design does not draw are left out, with a warning.
 
     Args:
-        design: the chip.
-        back: its mask, with the copies of :func:`copies_in_reach`.
-        copy: the lens, counted from 1.
+        path: the mask.
+        design: its design.
+        copy: the lens, counted from 1; of several lenses the first one of the result.
         range_nm: largest range of the beam.
+        progress: called while the file is read.
+        together: whether all other lenses follow in their order, which must be equal.
 
     Raises:
-        InputError: ``process.exposure.with_layers`` names a layer that the design does not draw, or a cell of
+        InputError: the file holds other shapes than pillars, pillars of dose classes, or lenses that differ though
+            ``together``; ``process.exposure.with_layers`` names a layer that the design does not draw, or a cell of
             ``mask.include`` cannot be read.
+    """
+    layer, copies = design.mask.layer, design.mask.copies
+    numbers = [copy, *(number for number in range(1, len(copies) + 1) if together and number != copy)]
+    reach = {number: _in_reach(design, number, range_nm) if copies else () for number in numbers}
+    along = sorted({other for near in reach.values() for other in near} - {copy})
+    back = mask.read(path, design, progress=progress, copy=copy, along=along)
+    back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
+    if classes := sorted(name for name in back.other_layers if name.split("/")[0] == str(layer)):
+        more = f" and {len(classes) - 1} more" if len(classes) > 1 else ""
+        expected, got = (
+            f"pillars on layer {layer}, datatype {design.mask.datatype} alone",
+            f"shapes on {classes[0]}{more}",
+        )
+        raise InputError.single(str(path), "layers", expected, got, "expose the mask without dose classes")
+    if together:
+        _require_equal(back)
+    lenses, listed = [], []
+    for number in numbers:
+        others = {other: back.pillars if together else back.copies[other] for other in reach[number]}
+        beside, shapes = _beside(design, back, number, others, range_nm)
+        lenses.append(ExposedLens(back.pillars, beside, copies[number - 1].dose if copies else 1.0, number))
+        listed.append(shapes)
+    if ignored := [f"{one.shapes} on {one.name}" for one in listed[0] if one.dose == "not the design's"]:
+        where = "the dose of shapes of %s that the design does not draw is not counted: %s"
+        _log.warning(where, path, ", ".join(ignored))
+    return tuple(lenses), listed[0]
+
+
+def _require_equal(back: ReadBack) -> None:
+    """Refuse lenses that differ from the one that is read."""
+    pillars, first = back.pillars, list(back.pillars.tiles())
+    count = sum(int(np.count_nonzero(tile.size_index)) for tile in first)
+    differ = [number for number, shapes in back.other_copies.items() if shapes != count]
+    for number, other in back.copies.items():
+        tiles = zip(first, other.tiles(), strict=True)
+        if not all(np.array_equal(pillars.size_dbu[a.size_index], other.size_dbu[b.size_index]) for a, b in tiles):
+            differ.append(number)
+    if differ:
+        expected, got = "lenses of equal pillars", f"others in copy {', '.join(map(str, sorted(set(differ))))}"
+        raise InputError.single(str(back.path), "copies", expected, got, "`metafab drc --copy` lists their places")
+
+
+def _beside(
+    design: Design, back: ReadBack, copy: int, others: Mapping[int, PillarMap], range_nm: float
+) -> tuple[Beside | None, tuple[ShapesBeside, ...]]:
+    """What is exposed in reach of one lens of a mask, None for nothing, and a list of all beside the lens that is read.
+
+    ``others`` are the lenses in reach of it.
     """
     unit_nm, copies = design.mask.database_unit_nm, lens_copies(design)
     here = copies[copy - 1]
     listed = [
-        ShapesBeside(f"copy {number}", count, "counted" if number in back.copies else "out of reach")
+        ShapesBeside(f"copy {number}", count, "counted" if number in others else "out of reach")
         for number, count in back.other_copies.items()
     ]
     lenses = tuple(
@@ -82,8 +145,9 @@ def beside_lens(
             pillars,
             ((copies[number - 1].x_dbu - here.x_dbu) * unit_nm, (copies[number - 1].y_dbu - here.y_dbu) * unit_nm),
             design.mask.copies[number - 1].dose,
+            number,
         )
-        for number, pillars in back.copies.items()
+        for number, pillars in others.items()
     )
     lattice = lattice_of(design)
     half_nm = 0.5 * np.array(lattice.shape[::-1]) * lattice.period_nm + REACH * range_nm

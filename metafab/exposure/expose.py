@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -12,24 +12,25 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
-from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
 from metafab.core.storage.tables import optional
+from metafab.exposure.correction import MOST_CLASSES, LensDoses, corrected, dose_span, quantised
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.beside import Beside
-from metafab.exposure.energy.resist import ResistEnergy, TileEnergy
+from metafab.exposure.energy.resist import ResistEnergy
 from metafab.exposure.prediction import (
     BIN_NM,
     BINS,
+    NO_PLACES,
     Printing,
     SizeMap,
+    SizeSums,
     WindowPoint,
     dose_to_size,
     predict,
 )
 from metafab.exposure.printing import EdgeTables, corner_radius_nm
 from metafab.exposure.shape import corrected_shapes, printing_of
-from metafab.exposure.sums import newton_doses
 from metafab.layout import PillarMap
 from metafab.layout.outlines import RECTANGLE, Outline
 
@@ -37,11 +38,8 @@ from metafab.layout.outlines import RECTANGLE, Outline
 _CHECKED, _CORNERS = 6, 200
 #: Stated over largest checked error: the worst of 1000 pillars of the 2 mm lens is 2.7 times the worst of six.
 _UNCHECKED = 4.0
-#: Largest number of rounds of Newton's method, and the rms residual (nm) below which a round is the last. A round
-#: reduces the residual about tenfold.
-_MOST_ROUNDS, _CONVERGED_NM = 12, 0.1
-#: Bounds of a corrected dose relative to the base dose.
-_DOSE_BOUNDS = (0.2, 5.0)
+#: Largest change of a printed size by rounding its dose to as few classes as that allows (nm).
+_ROUNDING_NM = 0.1
 #: Changes of all doses at which the process window is predicted (%).
 _WINDOW_PERCENT = tuple(float(k) for k in range(-10, 11, 2))
 
@@ -52,7 +50,10 @@ Correction = Literal["none", "dose", "shape"]
 class ExposureNumerics:
     """Numerical settings of an exposure."""
 
-    classes: int = 64  #: Dose classes that corrected doses are rounded to; 0 keeps them continuous.
+    #: Dose classes that corrected doses are rounded to; 0 keeps them continuous, "auto" takes as few as change printed
+    #: sizes by 0.1 nm at most, at the mean latitude.
+    classes: int | Literal["auto"] = 64
+    most_classes: int = MOST_CLASSES  #: Largest number of classes.
     samples: int = 0  #: Number of random pillars whose figures are listed.
     seed: int = 1  #: Seed of the choice of random pillars.
     keep_sizes: bool = False  #: Whether the printed sizes of all pillars are kept.
@@ -110,6 +111,8 @@ class ExposureFigures:
     error: float
     rounds: int  #: Rounds of the correction; 0 without one.
     walls: Walls | None = optional()  #: Foot and top of the resist; None without a contrast.
+    continuous_rms_nm: float | None = optional()  #: Rms size error before doses are rounded to classes, if they are.
+    continuous_max_nm: float | None = optional()  #: Largest magnitude, likewise.
 
 
 @dataclass(frozen=True)
@@ -132,65 +135,104 @@ class Exposure:
     printed_less_drawn_nm: Float32Array | None
 
 
+@dataclass(frozen=True, eq=False)
+class ExposedLens:
+    """A lens of a wafer."""
+
+    pillars: PillarMap  #: Drawn pillars, upright.
+    beside: Beside | None = None  #: What is exposed with the lens.
+    dose: float = 1.0  #: Dose of the whole lens relative to the base dose, on top of that of each pillar.
+    number: int = 1  #: Its number, by which lenses beside another one are found.
+
+
 def expose(
     pillars: PillarMap,
     psf: BeamPsf,
     *,
     outline: Outline = RECTANGLE,
-    beside: Beside | None = None,
     base_over_clearing_dose: float | None = None,
     contrast: float | None = None,
-    lens_dose: float = 1.0,
     correction: Correction = "none",
     numerics: ExposureNumerics = ExposureNumerics(),
     work: Work = Work(),
 ) -> Exposure:
-    """Expose a mask and predict the printed sizes.
+    """Expose a lens that is alone on its wafer; arguments and errors as :func:`expose_lenses`."""
+    return expose_lenses(
+        (ExposedLens(pillars),), psf, outline, base_over_clearing_dose, contrast, correction, numerics, work
+    )[0]
+
+
+def expose_lenses(
+    lenses: Sequence[ExposedLens],
+    psf: BeamPsf,
+    outline: Outline = RECTANGLE,
+    base_over_clearing_dose: float | None = None,
+    contrast: float | None = None,
+    correction: Correction = "none",
+    numerics: ExposureNumerics = ExposureNumerics(),
+    work: Work = Work(),
+) -> tuple[Exposure, ...]:
+    """Expose lenses of a wafer and predict the printed sizes.
 
     Args:
-        pillars: drawn pillars, upright.
+        lenses: lenses of equal pillars, each among the others at their doses. A lens beside them that is not among them
+            has the doses of the same sites. Results of equal lenses with nothing beside them are one object.
         psf: point-spread function of the beam.
         outline: outline of the drawn pillars, any but a cross or a ring.
-        beside: what is exposed with the lens. Other lenses receive its corrected doses and shapes too.
         base_over_clearing_dose: base dose over the clearing dose of a large pad; None for the dose at which printed
-            sizes equal drawn ones in the mean without correction ("dose to size"), of the lens alone.
+            sizes equal drawn ones in the mean without correction ("dose to size"), of the first lens alone.
         contrast: contrast of the resist: half the height remains at the clearing energy, and all of it, or none,
             at a factor of 10^(1 / (2 contrast)) more, or less; None for upright walls.
-        lens_dose: dose of the whole lens relative to the base dose, on top of that of each pillar.
-        correction: "dose" finds a dose for each pillar so that it prints at size; "shape" finds sizes to draw at one
-            dose.
-        numerics: classes and samples.
+        correction: "dose" finds a dose for each pillar so that it prints at size where its lens has the base dose;
+            "shape" finds sizes to draw at one dose, for a single lens.
+        numerics: classes; samples and kept sizes of the first lens.
 
     Raises:
         InputError: no pillar, or a pattern that cannot be printed.
     """
-    resist = _resist_of(pillars, psf, outline)
-    tables = EdgeTables.of(psf, resist.shapes)
-    dose = np.ones(resist.size_index.shape, dtype=np.float32)
-    drawn, rounds, dose_class, class_dose = pillars, 0, None, np.ones(1)
+    first = lenses[0]
+    drawn, rounds, class_dose = first.pillars, 0, np.ones(1)
+    of_site: Sequence[NDArray[np.uint8] | None] = [None] * len(lenses)
+    continuous: list[SizeSums] = []
     with work.threads() as executor:
-        ratio = (
-            dose_to_size(resist, tables, dose, executor) if base_over_clearing_dose is None else base_over_clearing_dose
-        )
-        resist = resist.among(beside)
+        resist = _resist_of(first.pillars, psf, outline)
+        tables, dose = EdgeTables.of(psf, resist.shapes), np.ones(resist.size_index.shape, dtype=np.float32)
+        ratio = base_over_clearing_dose or dose_to_size(resist, tables, dose, executor)
         process = Printing(resist, tables, ratio, executor)
+        dosed = [LensDoses(process.among(lens.beside), lens.number, dose) for lens in lenses]
         if correction == "dose":
-            dose, rounds = _corrected(process, dose, work.progress)
+            dosed, rounds = corrected(dosed, work.progress)
             if numerics.classes:
-                dose_class, class_dose = _quantised(resist, dose, numerics.classes)
-                dose = class_dose.astype(np.float32)[dose_class]
+                continuous = [_sums(one, lens, dosed) for one, lens in zip(dosed, lenses, strict=True)]
+                of_site, class_dose = quantised(dosed, _class_count(numerics, dosed, continuous[0]))
+                rounded = {key: class_dose.astype(np.float32)[of] for key, of in {id(of): of for of in of_site}.items()}
+                dosed = [replace(one, dose=rounded[id(of)]) for one, of in zip(dosed, of_site, strict=True)]
         elif correction == "shape":
-            drawn, rounds = corrected_shapes(pillars, psf, outline, beside, ratio, executor, work.progress)
-            process = printing_of(drawn, pillars, psf, outline, beside, ratio, executor)
-        if lens_dose != 1.0:
-            dose *= np.float32(lens_dose)
-            dosed = process.resist.beside and replace(process.resist.beside, lens_dose=lens_dose)
-            process = replace(process, resist=process.resist.among(dosed))
-        places = _random_pillars(resist.size_index, max(numerics.samples, _CORNERS), numerics.seed)
-        # Foot and top of the resist print like its middle at more and at less dose.
-        factor = 1.0 if contrast is None else 10.0 ** (0.5 / contrast)
-        percent = (*_WINDOW_PERCENT, 100.0 * (factor - 1.0), 100.0 * (1.0 / factor - 1.0))
-        found = predict(process, dose, places, window_percent=percent, keep_sizes=numerics.keep_sizes)
+            pattern = (psf, outline, first.beside, ratio, executor)
+            drawn, rounds = corrected_shapes(first.pillars, *pattern, work.progress)
+            dosed = [replace(dosed[0], process=printing_of(drawn, first.pillars, *pattern))]
+        found: dict[Hashable, Exposure] = {}
+        for number, (lens, one) in enumerate(zip(lenses, dosed, strict=True)):
+            if (key := (one.surroundings, lens.dose)) in found:
+                continue
+            own = numerics if number == 0 else replace(numerics, samples=0, keep_sizes=False)
+            result = _predicted(one.at(lens.dose, dosed), drawn, contrast, own)
+            figures = replace(result.figures, classes=len(class_dose), rounds=rounds)
+            if continuous:
+                sums = continuous[number]
+                figures = replace(figures, continuous_rms_nm=sums.rms_nm, continuous_max_nm=sums.largest_nm)
+            found[key] = replace(result, figures=figures, dose_class=of_site[number], class_dose=class_dose)
+    return tuple(found[one.surroundings, lens.dose] for lens, one in zip(lenses, dosed, strict=True))
+
+
+def _predicted(lens: LensDoses, drawn: PillarMap, contrast: float | None, numerics: ExposureNumerics) -> Exposure:
+    """Printed sizes of a lens, with its dose in those of its pillars."""
+    process, dose, ratio = lens.process, lens.dose, lens.process.base_over_clearing_dose
+    places = _random_pillars(process.resist.size_index, max(numerics.samples, _CORNERS), numerics.seed)
+    # Foot and top of the resist print like its middle at more and at less dose.
+    factor = 1.0 if contrast is None else 10.0 ** (0.5 / contrast)
+    percent = (*_WINDOW_PERCENT, 100.0 * (factor - 1.0), 100.0 * (1.0 / factor - 1.0))
+    found = predict(process, dose, places, window_percent=percent, keep_sizes=numerics.keep_sizes)
     checked, listed, sums = places[:_CHECKED].tolist(), found.listed, found.sums
     largest = max(float(np.abs(listed[r, c][:3] - ratio * process.resist.direct(dose, r, c)).max()) for r, c in checked)
     samples = _samples(process, drawn, dose, [((row, column), listed[row, column]) for row, column in places.tolist()])
@@ -205,13 +247,13 @@ def expose(
         unprinted=sums.unprinted,
         dose_min=sums.dose_min,
         dose_max=sums.dose_max,
-        classes=len(class_dose),
+        classes=1,
         latitude_nm_per_percent=sums.latitude_nm / sums.sides,
         corner_radius_nm=float(radii.mean()),
         corner_radius_rms_nm=float(radii.std()),
         base_over_clearing_dose=ratio,
         error=_UNCHECKED * largest,
-        rounds=rounds,
+        rounds=0,
         walls=None if contrast is None else Walls(foot.bias_nm, top.bias_nm, top.unprinted_share),
     )
     bins_nm = np.asarray(BIN_NM * (np.arange(BINS + 1) - 0.5 * BINS), dtype=np.float64)
@@ -219,8 +261,8 @@ def expose(
         figures=figures,
         drawn=drawn,
         dose=dose,
-        dose_class=dose_class,
-        class_dose=class_dose,
+        dose_class=None,
+        class_dose=np.ones(1),
         samples=samples[: numerics.samples],
         cd_histogram=found.histogram,
         cd_edges_nm=bins_nm,
@@ -245,52 +287,19 @@ def _resist_of(pillars: PillarMap, psf: BeamPsf, outline: Outline) -> ResistEner
     return resist
 
 
-def _corrected(process: Printing, dose: Float32Array, progress: Progress) -> tuple[Float32Array, int]:
-    """Find the doses at which the mean size error of each pillar's width and length vanishes, by Newton's method.
-
-    The derivative assumes that the doses of neighbours change by the same factor. Returns doses, shape (n_y, n_x), and
-    the number of rounds.
-    """
-    tables = process.tables
-    for number in range(1, _MOST_ROUNDS + 1):
-        new = np.ones_like(dose)
-
-        def update(tile: TileEnergy, new: Float32Array = new) -> FloatArray:
-            place = new[tile.rows, tile.columns]
-            edges = (tile.others, tables.at_edge, tables.slope_per_nm)
-            return np.array(
-                newton_doses(tile.size_index, tile.dose, *edges, process.base_over_clearing_dose, _DOSE_BOUNDS, place)
-            )
-
-        parts = [found for _, found in process.resist.map_tiles(dose, process.executor, update)]
-        square, count = np.sum(parts, axis=0)
-        dose = new
-        progress("correction", number, _MOST_ROUNDS)
-        if math.sqrt(square / max(count, 1.0)) < _CONVERGED_NM:
-            break
-    return dose, number
+def _sums(lens: LensDoses, exposed: ExposedLens, lenses: Sequence[LensDoses]) -> SizeSums:
+    """Size errors of a lens at its dose."""
+    at_dose = lens.at(exposed.dose, lenses)
+    return predict(at_dose.process, at_dose.dose, NO_PLACES).sums
 
 
-def _quantised(resist: ResistEnergy, dose: Float32Array, classes: int) -> tuple[NDArray[np.uint8], FloatArray]:
-    """Divide the doses into classes by equal steps of their logarithm; the dose of a class is the mean of its members.
-
-    Returns the class of each site, shape (n_y, n_x), and the dose of each class, shape (classes,).
-    """
-    if not 2 <= classes <= 256:
-        raise InputError.single("exposure", "classes", "2 to 256", str(classes))
-    parts = [np.log(dose[block][resist.size_index[block] > 0]) for block in resist.tiles]
-    low, high = min(float(p.min()) for p in parts), max(float(p.max()) for p in parts)
-    step = max(high - low, 1e-6) / classes
-    dose_class = np.zeros(dose.shape, dtype=np.uint8)
-    total, count = np.zeros(classes), np.zeros(classes)
-    for block, logarithm in zip(resist.tiles, parts, strict=True):
-        stand = resist.size_index[block] > 0
-        number = np.minimum(((logarithm - low) / step).astype(np.int64), classes - 1)
-        dose_class[block][stand] = number
-        total += np.bincount(number, dose[block][stand], classes)
-        count += np.bincount(number, minlength=classes)
-    middle = np.exp(low + step * (np.arange(classes) + 0.5))
-    return dose_class, np.where(count > 0, total / np.maximum(count, 1.0), middle)
+def _class_count(numerics: ExposureNumerics, lenses: Sequence[LensDoses], sums: SizeSums) -> int:
+    """Number of classes, of which half a step changes printed sizes by :data:`_ROUNDING_NM` where it is not given."""
+    if numerics.classes != "auto":
+        return min(numerics.classes, numerics.most_classes)
+    span_percent = 100.0 * math.log(dose_span(lenses))
+    count = math.ceil(0.5 * span_percent * sums.latitude_nm / sums.sides / _ROUNDING_NM)
+    return min(max(count, 2), numerics.most_classes)
 
 
 def _random_pillars(size_index: NDArray[np.uint16], count: int, seed: int) -> NDArray[np.int64]:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import Float32Array, FloatArray
+from metafab.exposure.energy.beside import Beside
 from metafab.exposure.energy.resist import TILE_SITES, ResistEnergy, TileEnergy
 from metafab.exposure.printing import EdgeTables, add_edge_displacements
 from metafab.exposure.sums import dose_to_size_sums, size_statistics
@@ -22,6 +23,8 @@ _SAMPLED_TILES, _WINDOW_ROWS = 16, 4
 BINS, BIN_NM = 1200, 0.05
 #: Least number of blocks along the lens in a map of size errors.
 _MAP_BLOCKS = 64
+#: No listed pillar.
+NO_PLACES = np.empty((0, 2), dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,10 @@ class Printing:
     #: Shape (2, n_y, n_x), width and length that should be printed, less those that are drawn; None where they are
     #: equal.
     wanted_less_drawn_nm: Float32Array | None = None
+
+    def among(self, beside: Beside | None) -> Printing:
+        """The same pattern with everything that is exposed with it."""
+        return replace(self, resist=self.resist.among(beside))
 
     def edges(self, tile: TileEnergy, base_over_clearing_dose: float) -> Float32Array:
         """Displacement of the printed edges of a tile from the drawn ones: shape (2, n_y, n_x), nm."""

@@ -10,18 +10,17 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from metafab import mask
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import whole_file
-from metafab.exposure.beside_lens import beside_lens, copies_in_reach
+from metafab.exposure.beside_lens import read_lenses
 from metafab.exposure.electrons.process import beam_psf, exposure_process
 from metafab.exposure.fit import MeasuredLens, Parameter, ProcessFit, fit_process
 from metafab.layout.outlines import Outline
 from metafab.mask.measured import read_measured
 from metafab.spec import Design, UnitCell, canonical_toml
 from metafab.spec.keys.faults import faults_of
-from metafab.spec.mask import Copy, Etch, ExposureProcess, Process
+from metafab.spec.mask import Etch, ExposureProcess, Process
 
 #: Columns of the table whose means become properties of the etch.
 _CORNER = ("height_nm", "sidewall_angle_deg", "corner_radius_nm")
@@ -82,19 +81,16 @@ def fitted_process(
         raise InputError.single(str(table), "rows", expected, f"dose {doses.min():g}, copy {numbers.min():g}")
     lenses, range_nm = [], float(beam_psf(start).range_nm.max())
     for number in np.unique(numbers).astype(int).tolist():
-        along = copies_in_reach(design, number, range_nm) if design.mask.copies else ()
-        back = mask.read(mask_file, design, progress=work.progress, copy=number, along=along)
-        back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
-        lens = design.mask.copies[number - 1] if design.mask.copies else Copy((0.0, 0.0))
-        beside, _ = beside_lens(design, back, number, range_nm)
-        around = beside and beside.per_dose(lens.dose)
+        (read,), _ = read_lenses(mask_file, design, number, range_nm, work.progress)
+        focus_of_lens_um = design.mask.copies[number - 1].focus_um if design.mask.copies else 0.0
+        around = read.beside and read.beside.per_dose(read.dose)
         for focus_um in np.unique(focuses[numbers == number]).tolist():
             here = (numbers == number) & (focuses == focus_um)
             rows = measured.part(here)
-            sites = rows.sites(back.pillars)
+            sites = rows.sites(read.pillars)
             rows.require_each_once(sites, doses[here])
-            exposed = doses[here] * lens.dose, rows.size_nm, lens.focus_um + focus_um
-            lenses.append(MeasuredLens(back.pillars, sites, *exposed, beside=around))
+            exposed = doses[here] * read.dose, rows.size_nm, focus_of_lens_um + focus_um
+            lenses.append(MeasuredLens(read.pillars, sites, *exposed, beside=around))
     fit = fit_process(lenses, start, free, etch, work)
     known = "" if start.source == "assumption" else f"{start.source}; "
     source = f"{known}fit of {', '.join(free)} to {fit.sizes} sizes of {table.name} at {fit.doses} doses"

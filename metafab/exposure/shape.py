@@ -15,7 +15,7 @@ from metafab.core.parallel.progress import Progress
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.beside import Beside
 from metafab.exposure.energy.resist import ResistEnergy
-from metafab.exposure.prediction import Printing, predict
+from metafab.exposure.prediction import NO_PLACES, Printing, predict
 from metafab.exposure.printing import EdgeTables
 from metafab.layout import PillarMap
 from metafab.layout.outlines import Outline
@@ -27,7 +27,6 @@ _MOST_ROUNDS, _SETTLED = 8, 1e-3
 _STEP_DBU = 2
 #: Growth of a pillar that does not print (nm).
 _UNPRINTED_NM = 20.0
-_NO_PLACES = np.empty((0, 2), dtype=np.int64)
 
 
 def printing_of(
@@ -71,7 +70,7 @@ def corrected_shapes(
     drawn = wanted
     for number in range(1, _MOST_ROUNDS + 1):
         process = printing_of(drawn, wanted, psf, outline, beside, base_over_clearing_dose, executor)
-        found = predict(process, dose, _NO_PLACES, keep_sizes=True).printed_less_drawn_nm
+        found = predict(process, dose, NO_PLACES, keep_sizes=True).printed_less_drawn_nm
         assert process.wanted_less_drawn_nm is not None
         assert found is not None
         error_nm = np.subtract(found, process.wanted_less_drawn_nm, out=found)

@@ -77,7 +77,7 @@ def plan(
     sample = PillarMap(aperture.lattice, table.size_dbu, lambda: (tile for tile, _ in tiles), mapping.tile_sites)
     stamps = Stamps(biased(sample, design.mask.bias_nm), design)
     for suffix in design.mask.formats:
-        writer = WRITERS[suffix](io.BytesIO(), drawing_of(aperture.lattice, design))
+        writer = WRITERS[suffix](io.BytesIO(), drawing_of(aperture.lattice, design, stamps.copies))
         _encoded_bytes(writer, stamps, tiles[0][0])
         encoding_start = time.perf_counter()
         encoded = sum(_encoded_bytes(writer, stamps, tile) for tile, _ in tiles)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ from metafab.layout import Lattice, PillarMap, PillarTile
 from metafab.layout.geometry import whole_dbu
 from metafab.mask.drawing.cell_writer import Drawing, EncodedTile, MaskWriter, TileEncoder
 from metafab.mask.drawing.cells import top_name
-from metafab.mask.drawing.copies import lens_copies
+from metafab.mask.drawing.copies import LensCopy
 from metafab.mask.drawing.dose import DOSE_TABLES, dose_tables
 from metafab.mask.drawing.include import shapes_beside
 from metafab.mask.drawing.stamps import Stamps
@@ -49,21 +49,21 @@ def write(
     progress: Progress = silent,
     mapping: Mapping[str, Any] | None = None,
     executor: Executor | None = None,
-    dose_class: NDArray[np.uint8] | None = None,
+    dose_class: Sequence[NDArray[np.uint8]] = (),
     class_dose: FloatArray | None = None,
 ) -> tuple[WrittenFile, ...]:
     """Write masks ``layout.gds`` and ``.oas`` (of ``mask.formats``), ``layout.lyp`` and ``layout.json``; return all.
 
-    Where doses are known, of ``mask.copies`` or of classes, ``doses.csv`` and ``doses.jdi`` give that of each datatype;
-    with ``mask.exposure``, ``fields.csv`` lists the write fields in order.
+    Where doses are known, of ``mask.copies`` or of classes, ``doses.csv``, ``.jdi`` and ``.txt`` give that of each
+    datatype; with ``mask.exposure``, ``fields.csv`` lists the write fields in order.
 
     Equal pillars and designs give equal bytes. Only a few tiles are held in memory. Files appear under their names only
     when complete.
 
     Pillars are drawn with ``mask.bias_nm``, on one datatype for each class of ``mask.dose``. The top cell also holds
-    the shapes of ``mask.chip`` and ``mask.tone``, and one lens for each of ``mask.copies``. A pillar has the same dose
-    class in every copy. Options that the design leaves out change no byte. A file of an earlier call in a format that
-    is no longer in ``mask.formats`` is removed, because ``layout.json`` would not describe it.
+    the shapes of ``mask.chip`` and ``mask.tone``, and one lens for each of ``mask.copies``. Options that the design
+    leaves out change no byte. A file of an earlier call in a format that is no longer in ``mask.formats`` is removed,
+    because ``layout.json`` would not describe it.
 
     ``mapping`` is for ``layout.json``, ``class_dose`` that of each class relative to the base dose, shape (classes,),
     if known. Other arguments and errors as :func:`write_drawings`.
@@ -100,14 +100,14 @@ def write_drawings(
     design: Design,
     progress: Progress = silent,
     executor: Executor | None = None,
-    dose_class: NDArray[np.uint8] | None = None,
+    dose_class: Sequence[NDArray[np.uint8]] = (),
 ) -> MaskFigures:
     """Write upright or turned pillars to mask ``files`` by format ("gds", "oas"), without their sidecars.
 
     Drawn sizes must be even in database units. ``executor`` encodes tiles, by default threads of this process;
-    ``dose_class``, shape (n_y, n_x) of the lattice, is the class of each site for ``mask.dose.by = "proximity"``.
-    InputError if dose classes are missing or do not fit, edges would lie off the grid, or a format cannot hold the
-    layout.
+    ``dose_class``, shape (n_y, n_x) of the lattice each, is the class of each site for ``mask.dose.by = "proximity"``:
+    one array for all lenses, or one for each; lenses with the same array share their cells. InputError if dose classes
+    are missing or do not fit, edges would lie off the grid, or a format cannot hold the layout.
     """
     _require_grid(pillars, design)
     drawn = biased(pillars, design.mask.bias_nm)
@@ -124,7 +124,7 @@ def write_drawings(
         for suffix, path in files.items():
             part = stack.enter_context(whole_file(path))
             stream = stack.enter_context(part.open("wb", buffering=_BUFFER_BYTES))
-            writers.append(WRITERS[suffix](stream, drawing_of(drawn.lattice, design)))
+            writers.append(WRITERS[suffix](stream, drawing_of(drawn.lattice, design, stamps.copies)))
         executor = executor or stack.enter_context(ThreadPoolExecutor(default_workers()))
         encode = _Encoding(stamps, tuple(writer.encoder for writer in writers), len(drawn.size_dbu))
         sites = drawn.lattice.shape[0] * drawn.lattice.shape[1]
@@ -156,10 +156,10 @@ class _Encoding:
         return TileCount.of(tile, self.sizes), encoded
 
 
-def drawing_of(lattice: Lattice, design: Design) -> Drawing:
-    """Return the properties of a design's mask that the writers need."""
-    copies = lens_copies(design) if design.mask.copies or design.mask.flat else ()
-    return Drawing(lattice, top_name(design.name), copies, design.mask.flat)
+def drawing_of(lattice: Lattice, design: Design, copies: tuple[LensCopy, ...]) -> Drawing:
+    """Return the properties of a design's mask that the writers need; ``copies`` are all its lenses."""
+    several = copies if design.mask.copies or design.mask.flat else ()
+    return Drawing(lattice, top_name(design.name), several, design.mask.flat)
 
 
 def biased(pillars: PillarMap, bias_nm: float) -> PillarMap:

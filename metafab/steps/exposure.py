@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -13,7 +13,7 @@ from metafab.core.parallel.work import Work
 from metafab.core.storage.files import file_sha256
 from metafab.core.storage.tables import optional
 from metafab.spec import Design, Dose
-from metafab.spec.mask import Etch
+from metafab.spec.mask import MOST_DATATYPES, Etch
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
@@ -30,6 +30,9 @@ Printed = Literal["plain", "corrected"]
 
 #: Record of the exposure in a run folder.
 FILE = "exposure.json"
+
+#: Corrected mask whose datatypes are doses.
+DOSE_DATATYPES = "doses.gds"
 
 
 @dataclass(frozen=True)
@@ -59,7 +62,22 @@ class ExposedMask:
     psf: BeamPsf  #: Point-spread function of the beam.
     exposure: Exposure  #: Printed sizes and doses.
     beside: tuple[ShapesBeside, ...]  #: What the mask holds beside the lens.
-    plain: SizeErrors | None = None  #: Size errors with one dose; None unless ``keep_plain``.
+    plain: SizeErrors | None  #: Size errors with one dose; None unless ``keep_plain``.
+    lenses: Mapping[int, Exposure]  #: Exposures by number of the lens: of all lenses if their doses are corrected.
+
+
+@dataclass(frozen=True)
+class CopyFigures:
+    """Printed sizes of one lens of ``mask.copies`` at its dose, all lenses being corrected."""
+
+    copy: int  #: Number of the lens.
+    dose: float  #: Its dose relative to the base dose, on top of the corrected ones.
+    cd_error_rms_nm: float  #: Rms of printed less drawn widths and lengths.
+    cd_error_max_nm: float  #: Largest magnitude.
+    unprinted: int  #: Pillars that do not print.
+    dose_min: float  #: Smallest dose of a pillar relative to the base dose.
+    dose_max: float  #: Largest dose.
+    doses_of: int  #: First lens with the same corrected doses: another one where both are alone.
 
 
 @dataclass(frozen=True)
@@ -124,8 +142,8 @@ def expose_mask(
     InputError if the design has no ``[process.exposure]``, a key of it is not available with the exposure, the file
     holds shapes that are no pillars of the lattice, or pillars have doses of their own, which are not read.
     """
-    from metafab import exposure, mask
-    from metafab.exposure.beside_lens import beside_lens, copies_in_reach
+    from metafab import exposure
+    from metafab.exposure.beside_lens import read_lenses
     from metafab.exposure.expose import base_dose_to_size
     from metafab.layout.outlines import Outline
 
@@ -137,45 +155,53 @@ def expose_mask(
         got, remedy = f"classes by {dose.by}", "expose the plain mask with its own design"
         further.append(Fault("mask.dose", "one dose for all pillars: doses of classes are not read", got, remedy))
     process = exposure.exposure_process(design, further)
-    lens = design.mask.copies[copy - 1] if 1 <= copy <= len(design.mask.copies) else None
-    in_focus, outline = exposure.beam_psf(process), Outline.of(design)
-    psf = in_focus if lens is None else exposure.beam_psf(process, lens.focus_um)
-    range_nm = float(psf.range_nm.max())
-    along = copies_in_reach(design, copy, range_nm) if lens is not None else ()
-    back = mask.read(path, design, progress=work.progress, copy=copy, along=along)
-    back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
-    if classes := sorted(name for name in back.other_layers if name.split("/")[0] == str(design.mask.layer)):
-        more = f" and {len(classes) - 1} more" if len(classes) > 1 else ""
-        got, remedy = f"shapes on {classes[0]}{more}", "expose the mask without dose classes"
-        expected = f"pillars on layer {design.mask.layer}, datatype {design.mask.datatype} alone"
-        raise InputError.single(str(path), "layers", expected, got, remedy)
-    ratio, plain = process.base_over_clearing_dose, None
+    outline, together = Outline.of(design), correct and process.correction == "dose"
+    copies, in_focus = design.mask.copies, exposure.beam_psf(process)
+    # All lenses are corrected for the focus of the one that is read.
+    psf = exposure.beam_psf(process, copies[copy - 1].focus_um) if 1 <= copy <= len(copies) else in_focus
+    range_nm = float(in_focus.range_nm.max())
+    lenses, listed = read_lenses(path, design, copy, range_nm, work.progress, together=together)
+    pillars, ratio = lenses[0].pillars, process.base_over_clearing_dose
     if ratio is None and psf.blur_nm != in_focus.blur_nm:  # All copies share the base dose, that of the best focus.
-        ratio = base_dose_to_size(back.pillars, in_focus, outline, work)
-    beside, listed = beside_lens(design, back, copy, range_nm)
-    lens_dose = 1.0 if lens is None else lens.dose
-    exposed = partial(
-        exposure.expose,
-        back.pillars,
-        psf,
-        outline=outline,
-        beside=beside,
-        contrast=process.contrast,
-        lens_dose=lens_dose,
-        work=work,
-    )
+        ratio = base_dose_to_size(pillars, in_focus, outline, work)
+    plain: SizeErrors | None = None
     if correct and keep_plain:
-        before = exposed(base_over_clearing_dose=ratio)
+        (before,) = exposure.expose_lenses(lenses[:1], psf, outline, ratio, process.contrast, work=work)
         ratio, plain = before.figures.base_over_clearing_dose, exposure.SizeErrors.of(before)
         del before  # its doses are as large as the lens
-    found = exposed(
-        base_over_clearing_dose=ratio,
-        correction=process.correction if correct else "none",
-        numerics=exposure.ExposureNumerics(classes=process.classes, samples=samples, keep_sizes=keep_sizes),
+    numerics = exposure.ExposureNumerics(
+        classes=process.classes,
+        most_classes=MOST_DATATYPES // len(design.mask.doses),
+        samples=samples,
+        keep_sizes=keep_sizes,
     )
+    correction = process.correction if correct else "none"
+    found = exposure.expose_lenses(lenses, psf, outline, ratio, process.contrast, correction, numerics, work)
     if keep_plain and not correct:
-        plain = exposure.SizeErrors.of(found)
-    return ExposedMask(back.pillars, psf, found, listed, plain)
+        plain = exposure.SizeErrors.of(found[0])
+    by_number = sorted(zip((lens.number for lens in lenses), found, strict=True))
+    return ExposedMask(pillars, psf, found[0], listed, plain, dict(by_number))
+
+
+def copy_figures(exposed: ExposedMask, design: Design) -> tuple[CopyFigures, ...]:
+    """Figures of each lens of a corrected mask; empty for a single lens."""
+    found: list[CopyFigures] = []
+    first: dict[int, int] = {}
+    for number, lens in exposed.lenses.items() if len(exposed.lenses) > 1 else ():
+        figures = lens.figures
+        found.append(
+            CopyFigures(
+                number,
+                design.mask.copies[number - 1].dose,
+                figures.cd_error_rms_nm,
+                figures.cd_error_max_nm,
+                figures.unprinted,
+                figures.dose_min,
+                figures.dose_max,
+                first.setdefault(id(lens.dose_class), number),
+            )
+        )
+    return tuple(found)
 
 
 def save_exposure(exposed: ExposedMask, mask_file: Path, design: Design, path: Path) -> None:
@@ -203,11 +229,15 @@ def corrected_folder(folder: Path, mask_file: Path) -> Path:
     return folder / "corrected" if holds_mask or (folder / "summary.json").is_file() else folder
 
 
-def write_corrected(exposed: ExposedMask, design: Design, folder: Path, progress: Progress) -> tuple[Path, ...]:
-    """Write the corrected mask; with corrected doses one datatype for each class, ``doses.csv`` and ``doses.jdi``.
+def write_corrected(
+    exposed: ExposedMask, design: Design, folder: Path, progress: Progress, *, dose_datatypes: bool = False
+) -> tuple[Path, ...]:
+    """Write the corrected mask; with corrected doses one datatype for each class, and tables of their doses.
 
-    The table has the columns ``datatype`` and ``dose_over_base_dose``; the second file is the shot modulation of JEOL
-    writers. A design with ``[mask.dose]``, ``by = "proximity"`` and as many classes reads the mask back.
+    Each lens of ``mask.copies`` has doses of its own, in common classes. The table has the columns ``datatype``,
+    ``dose_over_base_dose`` and, for several lenses, ``copies``, the numbers of those that use the datatype. With
+    ``dose_datatypes``, ``doses.gds`` has the doses in thousandths as datatypes. A design with ``[mask.dose]``,
+    ``by = "proximity"`` and as many classes reads the mask back.
     """
     from metafab import mask
 
@@ -217,10 +247,15 @@ def write_corrected(exposed: ExposedMask, design: Design, folder: Path, progress
     if found.dose_class is None:
         return tuple(file.path for file in mask.write(found.drawn, folder, plain, progress=progress))
     dosed = replace(plain, mask=replace(plain.mask, dose=Dose(by="proximity", classes=len(found.class_dose))))
-    files = mask.write(
-        found.drawn, folder, dosed, progress=progress, dose_class=found.dose_class, class_dose=found.class_dose
-    )
-    return tuple(file.path for file in files)
+    of_site = [lens.dose_class for lens in exposed.lenses.values() if lens.dose_class is not None]
+    files = mask.write(found.drawn, folder, dosed, progress=progress, dose_class=of_site, class_dose=found.class_dose)
+    paths, further = [file.path for file in files], folder / DOSE_DATATYPES
+    if dose_datatypes:
+        doses = mask.datatype_doses(dosed, found.class_dose)
+        mask.write_dose_datatypes(folder / "layout.gds", further, design.mask.layer, doses)
+        return (*paths, further)
+    further.unlink(missing_ok=True)
+    return tuple(paths)
 
 
 def _printed(job: Job) -> PrintedFigures:

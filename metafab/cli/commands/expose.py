@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -30,6 +31,10 @@ def expose_command(
     sample_csv: Annotated[
         Path | None, typer.Option("--sample-csv", metavar="OUT.csv", help="Table of the listed pillars.")
     ] = None,
+    dose_datatypes: Annotated[
+        bool,
+        typer.Option("--dose-datatypes", help="Also write doses.gds, whose datatypes are 1000 times the dose (Raith)."),
+    ] = False,
     copy: Copy = 1,
     output: Output = None,
     workers: Workers = None,
@@ -38,12 +43,12 @@ def expose_command(
     """Predict printed sizes from the electron exposure of a mask, and correct its doses.
 
     With --correct and -o DIR, the corrected mask is written to DIR: one datatype per dose class with the tables
-    doses.csv and doses.jdi, or corrected shapes. If DIR holds the mask itself, or a run, it is written to
+    doses.csv, doses.jdi and doses.txt, or corrected shapes. If DIR holds the mask itself, or a run, it is written to
     DIR/corrected. With -o DIR/exposure.json in a run folder, the next report shows the
     size errors, before and after the correction with --correct.
     """
     from metafab.spec import load_design
-    from metafab.steps.exposure import corrected_folder, expose_mask, save_exposure, write_corrected
+    from metafab.steps.exposure import copy_figures, corrected_folder, expose_mask, save_exposure, write_corrected
 
     if (sample > 0) != (sample_csv is not None):
         expected = "`--sample N` together with `--sample-csv OUT.csv`"
@@ -54,13 +59,22 @@ def expose_command(
         expected = "a name ending with .json, or `--correct` with a folder"
         raise InputError.single("--output", "output", expected, f"{folder} without a correction", "add `--correct`")
     spec = load_design(design)
+    process = None if spec.process is None else spec.process.exposure
+    by_dose = folder is not None and process is not None and process.correction == "dose"
+    if dose_datatypes and not (by_dose and "gds" in spec.mask.formats):
+        expected = '`--correct -o DIR`, a correction of doses, and "gds" in `mask.formats`'
+        raise InputError.single("--dose-datatypes", "option", expected, "another command or design")
     if folder is not None:
         asked, folder = folder, corrected_folder(folder, layout)
         if folder != asked:
             announce([f"{asked} keeps its mask: the corrected one goes to {folder}"])
     with open_work(workers) as (work, cost):
         exposed = expose_mask(layout, spec, correct, sample, copy, work, keep_plain=record is not None)
-        files = () if folder is None else write_corrected(exposed, spec, folder, work.progress)
+        files = (
+            ()
+            if folder is None
+            else write_corrected(exposed, spec, folder, work.progress, dose_datatypes=dose_datatypes)
+        )
         if record is not None:
             save_exposure(exposed, layout, spec, record)
             files = (record,)
@@ -71,8 +85,13 @@ def expose_command(
     further: dict[str, object] = {"files": sizes} if files else {}
     if folder is not None:
         further["folder"] = str(folder)
-    if ignored := [f"{one.shapes} on {one.name}" for one in exposed.beside if one.dose == "not the design's"]:
-        announce([f"the dose of shapes that the design does not draw is not counted: {', '.join(ignored)}"])
+    asked_classes = "auto" if process is None else process.classes
+    if result.figures.rounds and asked_classes != "auto" and 1 < result.figures.classes < asked_classes:
+        announce([f"{result.figures.classes} of {asked_classes} classes: doses of `mask.copies` need datatypes too"])
+    if copies := copy_figures(exposed, spec):
+        further["copies"] = [asdict(one) for one in copies]
+        further["copies_rms_nm"] = math.sqrt(sum(one.cd_error_rms_nm**2 for one in copies) / len(copies))
+        further["copies_max_nm"] = max(one.cd_error_max_nm for one in copies)
     show(
         result.figures,
         json_,

@@ -9,7 +9,7 @@ nodes half a distance of neighbours apart, and 1e-3 on the blocks of :mod:`metaf
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -38,13 +38,20 @@ class OtherLens:
     pillars: PillarMap  #: Its drawn pillars.
     at_nm: tuple[float, float]  #: (x, y) of its axis from the axis of the lens in question.
     dose: float = 1.0  #: Its dose relative to the base dose, on top of that of each pillar.
+    number: int = 0  #: Its number on the wafer.
+    #: Shape (n_y, n_x) of the lattice, doses of its pillars; None for those of the lens in question at the same sites.
+    doses: Float32Array | None = None
+
+    def shares(self, dose: Float32Array, lens_dose: float) -> tuple[Float32Array, float]:
+        """Doses of its pillars, shape (n_y, n_x), and a factor on them, beside a lens at ``dose``."""
+        return (dose, self.dose / lens_dose) if self.doses is None else (self.doses, self.dose)
 
 
 @dataclass(frozen=True, eq=False)
 class Beside:
     """Everything that is exposed with a lens."""
 
-    lenses: tuple[OtherLens, ...] = ()  #: Other lenses; their pillars have the doses of those at the same sites.
+    lenses: tuple[OtherLens, ...] = ()  #: Other lenses.
     #: Shape (n, 4), left, bottom, right and top of further rectangles, from the axis of the lens.
     rectangles_nm: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     outline: Outline = RECTANGLE  #: Outline of the pillars of all lenses.
@@ -54,6 +61,11 @@ class Beside:
     def per_dose(self, lens_dose: float) -> Beside:
         """The same for energies per unit dose of the lens in question."""
         return replace(self, lens_dose=lens_dose, rectangle_dose=1.0 / lens_dose)
+
+    def with_doses(self, doses: Mapping[int, Float32Array], lens_dose: float) -> Beside:
+        """The same beside a lens whose doses hold its own one; others, by number, at doses of shape (n_y, n_x)."""
+        lenses = tuple(replace(lens, doses=doses.get(lens.number, lens.doses)) for lens in self.lenses)
+        return replace(self, lenses=lenses, lens_dose=lens_dose)
 
     def with_pillars(self, pillars: PillarMap) -> Beside:
         """All other lenses with these pillars."""
@@ -72,6 +84,7 @@ class Beside:
         yield self.rectangles_nm[inside], np.full(np.count_nonzero(inside), self.rectangle_dose)
         for lens in self.lenses:
             drawn, share, first = self._drawn(lens.pillars, exact)
+            of_site, factor = lens.shares(dose, self.lens_dose)
             lattice, index = lens.pillars.lattice, lens.pillars.to_array()
             x_nm, y_nm = 1e3 * lattice.x_um() + lens.at_nm[0], 1e3 * lattice.y_um() + lens.at_nm[1]
             reach = np.abs(drawn).max(initial=0.0)
@@ -85,7 +98,7 @@ class Beside:
                 pillar = np.repeat(np.arange(size.size), count)
                 part = np.arange(pillar.size) - np.repeat(np.cumsum(count) - count - first[size], count)
                 centre = np.stack([x_nm[column], y_nm[row]], axis=1)[pillar]
-                doses = lens.dose / self.lens_dose * dose[row, column] * share[size]
+                doses = factor * of_site[row, column] * share[size]
                 yield drawn[part] + np.tile(centre, 2), doses[pillar]
 
     def _drawn(self, pillars: PillarMap, exact: bool) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:

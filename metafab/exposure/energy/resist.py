@@ -128,8 +128,8 @@ class ResistEnergy:
                 energy += _sum_rectangles(rectangles, doses, *gaussians, points)
             for lens in self.beside.lenses:
                 other = ResistEnergy(lens.pillars, self.psf, self.beside.outline)
-                scale = np.float32(lens.dose / self.beside.lens_dose)
-                energy += scale * other._direct(dose, points - np.array(lens.at_nm))
+                of_sites, factor = lens.shares(dose, self.beside.lens_dose)
+                energy += factor * other._direct(of_sites, points - np.array(lens.at_nm))
         return np.array([energy[0], energy[1:3].mean(), energy[3:].mean()])
 
     def _direct(self, dose: Float32Array, points_nm: FloatArray) -> FloatArray:

@@ -21,17 +21,19 @@ class Variant:
 
     bias_dbu: int = 0  #: Added to the drawn width and length, on top of ``mask.bias_nm``.
     dose_number: int = 0  #: Number of its dose among those of all copies, ascending, from 0.
+    pattern: int = 0  #: Number of its dose classes among those of all copies, from 0.
 
     @property
     def tag(self) -> str:
-        """Suffix of cell names, short enough for 32 characters; empty without a bias, at the first dose."""
+        """Suffix of cell names, short enough for 32 characters; empty without a bias, at the first dose and pattern."""
         sign = "P" if self.bias_dbu > 0 else "M"
-        if not self.dose_number:
+        if not self.dose_number and not self.pattern:
             return f"_{sign}{abs(self.bias_dbu):05d}" if self.bias_dbu else ""
-        return f"_{f'{sign}{abs(self.bias_dbu)}' if self.bias_dbu else ''}E{self.dose_number}"
+        parts = ((sign, abs(self.bias_dbu)), ("E", self.dose_number), ("K", self.pattern))
+        return "_" + "".join(f"{letter}{number}" for letter, number in parts if number)
 
 
-#: A lens without a bias, at the first dose.
+#: A lens without a bias, at the first dose and pattern.
 PLAIN = Variant()
 
 
@@ -45,8 +47,10 @@ class LensCopy:
     label: str | None = None  #: Text drawn above it; None for nothing.
 
 
-def lens_copies(design: Design) -> tuple[LensCopy, ...]:
+def lens_copies(design: Design, patterns: Sequence[int] = ()) -> tuple[LensCopy, ...]:
     """Return the lenses in the order of ``mask.copies``; a single one in the middle if none are listed.
+
+    ``patterns`` are the numbers of their dose classes, if they differ.
 
     InputError if a place is not a whole, or a bias not an even, number of database units, or two lenses overlap.
     """
@@ -60,7 +64,7 @@ def lens_copies(design: Design) -> tuple[LensCopy, ...]:
             if max(abs(x_dbu - before.x_dbu), abs(y_dbu - before.y_dbu)) < aperture_dbu(design):
                 expected = f"at least {design.device.aperture_um:g} um from copy {other}, along x or along y"
                 raise InputError.single(design.name, f"{key}.at_um", expected, f"{copy.at_um}", "move it")
-        variant = Variant(bias_dbu, design.mask.doses.index(copy.dose))
+        variant = Variant(bias_dbu, design.mask.doses.index(copy.dose), patterns[number - 1] if patterns else 0)
         copies.append(LensCopy(x_dbu, y_dbu, variant, copy.label))
     return tuple(copies) or (LensCopy(0, 0),)
 

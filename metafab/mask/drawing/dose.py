@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from metafab.mask.drawing.cells import top_name
 from metafab.spec import Design, Dose
 
 #: Files that give the dose of each datatype.
-DOSE_TABLES = ("doses.csv", "doses.jdi")
+DOSE_TABLES = ("doses.csv", "doses.jdi", "doses.txt")
 
 
 class DoseClasses:
@@ -84,28 +84,57 @@ class DoseClasses:
         return (rows // self._block_rows)[:, None], (columns // self._block_columns)[None]
 
 
+def dose_patterns(design: Design, of_site: Sequence[NDArray[np.uint8]]) -> tuple[int, ...]:
+    """Number the distinct arrays of dose classes, shape (n_y, n_x) each; empty for a single one.
+
+    They are given for each lens, or once for all.
+
+    InputError for another number of arrays.
+    """
+    lenses = max(1, len(design.mask.copies))
+    if len(of_site) not in {0, 1, lenses}:
+        expected = f"dose classes of each of {lenses} lenses, or of one for all"
+        raise InputError.single("mask", "dose_class", expected, f"{len(of_site)} arrays")
+    first = {id(array): number for number, array in reversed(list(enumerate(of_site)))}
+    return tuple(first[id(array)] for array in of_site) if len(first) > 1 else ()
+
+
+def datatype_doses(design: Design, class_dose: FloatArray | None = None) -> dict[int, float]:
+    """Dose of each exposed datatype relative to the base dose; ``class_dose``, shape (classes,), of each class."""
+    mask = design.mask
+    if mask.tone != "negative":  # The field is exposed, at one dose, on datatype 0 of its layer.
+        return {0: mask.doses[0]}
+    of_class = np.ones(mask.dose_classes) if class_dose is None else class_dose
+    return dict(enumerate(np.outer(mask.doses, of_class).ravel().tolist(), start=mask.datatype))
+
+
 def dose_tables(design: Design, class_dose: FloatArray | None = None) -> dict[str, list[str]]:
-    """Dose of each exposed datatype relative to the base dose, as a table and as the shot modulation of JEOL writers.
+    """Dose of each exposed datatype relative to the base dose.
+
+    As a table, as the shot modulation of JEOL writers, and as rows of layer, datatype and dose for pattern converters.
 
     ``class_dose`` is the dose of each class, shape (classes,); None if not known: the table holds the copies' doses
-    alone. Returns lines of each of :data:`DOSE_TABLES`; empty where no dose is known.
+    alone. With classes of several lenses the table has the numbers of the lenses that use a datatype. Returns lines of
+    each of :data:`DOSE_TABLES`; empty where no dose is known.
     """
     mask = design.mask
     if class_dose is None and mask.doses == (1.0,):
         return {}
-    of_class = np.ones(mask.dose_classes) if class_dose is None else class_dose
-    doses = np.outer(mask.doses, of_class).ravel().tolist()
-    table = [(mask.datatype + number, dose) for number, dose in enumerate(doses)]
-    if mask.tone != "negative":  # The field is exposed, at one dose, on datatype 0 of its layer.
-        table = [(0, mask.doses[0])]
+    table = list(datatype_doses(design, class_dose).items())
     rows = ["datatype,dose_over_base_dose", *(f"{datatype},{dose:.6f}" for datatype, dose in table)]
+    if class_dose is not None and len(mask.copies) > 1:
+        users = [" ".join(str(n) for n, copy in enumerate(mask.copies, 1) if copy.dose == dose) for dose in mask.doses]
+        columns = ["copies", *(lenses for lenses in users for _ in class_dose)]
+        rows = [f"{row},{lenses}" for row, lenses in zip(rows, columns, strict=True)]
     # The shot rank is the datatype, the modulation a change of dose in percent.
     ranks = [f"({datatype:4d}, {100.0 * (dose - 1.0):8.3f} )" for datatype, dose in table]
     name = f"{top_name(design.name)}: MODULAT ("
     starts = [name, *["-  , "] * (len(ranks) - 1)]
     ends = [""] * (len(ranks) - 1) + [")"]
     modulation = [start + rank + end for start, rank, end in zip(starts, ranks, ends, strict=True)]
-    return dict(zip(DOSE_TABLES, (rows, modulation), strict=True))
+    layer = mask.layer if mask.tone == "negative" else mask.field_layer
+    assignment = [f"{layer} {datatype} {dose:.6f}" for datatype, dose in table]
+    return dict(zip(DOSE_TABLES, (rows, modulation, assignment), strict=True))
 
 
 def _require_classes(shape: tuple[int, int], dose: Dose | None, of_site: NDArray[np.uint8] | None) -> None:

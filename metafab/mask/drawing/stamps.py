@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +12,7 @@ from metafab.layout import PillarMap, PillarTile
 from metafab.layout.turned import outline_of
 from metafab.mask.drawing.cells import Stamp, pillar_stamp
 from metafab.mask.drawing.copies import Variant, biases_dbu, lens_copies, variants
-from metafab.mask.drawing.dose import DoseClasses
+from metafab.mask.drawing.dose import DoseClasses, dose_patterns
 from metafab.mask.drawing.inverse import FIELD_RECTANGLES, InvertedField
 from metafab.mask.shapes.hierarchy import IntArray
 from metafab.spec import Design
@@ -24,31 +24,41 @@ class Stamps:
     Args:
         drawn: the pillars, ``mask.bias_nm`` included.
         design: layers, dose classes, tone and copies.
-        dose_class: shape (n_y, n_x) of the lattice, dose class of each site if classes go by proximity.
+        dose_class: shape (n_y, n_x) of the lattice each, dose class of each site if classes go by proximity: of each
+            lens, or of one for all.
+
+    Attributes:
+        copies: the lenses.
 
     Raises:
         InputError: the field around these pillars cannot be inverted, or dose classes are missing or do not fit.
     """
 
-    def __init__(self, drawn: PillarMap, design: Design, dose_class: NDArray[np.uint8] | None = None) -> None:
+    def __init__(self, drawn: PillarMap, design: Design, dose_class: Sequence[NDArray[np.uint8]] = ()) -> None:
         self._size_dbu = drawn.size_dbu
         self._mask = design.mask
-        self._copies = lens_copies(design)
-        self._variants = variants(self._copies)
+        patterns = dose_patterns(design, dose_class)
+        self.copies = lens_copies(design, patterns)
+        self._variants = variants(self.copies)
         self._outline = outline_of(drawn, design)
-        self._classes = DoseClasses(drawn, design.mask.dose, self._outline, dose_class)
+        self._classes = {
+            pattern: DoseClasses(drawn, design.mask.dose, self._outline, dose_class[pattern] if dose_class else None)
+            for pattern in sorted(set(patterns)) or (0,)
+        }
         self._pillars: dict[tuple[int, Variant], Stamp] = {}
         inverted = design.mask.tone == "inverted"
         if inverted and not self._outline.is_rectangle:
             expected, got = "rectangular pillars, around which the field is rectangles", repr(self._outline.shape)
             raise InputError.single("mask", "tone", expected, f"pillars of shape {got}", "use 'positive'")
-        self._field = InvertedField(drawn, design.mask.field_layer, biases_dbu(self._copies)) if inverted else None
+        self._field = InvertedField(drawn, design.mask.field_layer, biases_dbu(self.copies)) if inverted else None
 
     def of(self, tile: PillarTile) -> Iterator[tuple[PillarTile, Stamp]]:
         """Yield size indices, and the stamp to which they refer. Safe to call from several threads."""
-        for number, part in self._classes.split(tile):
-            for variant in self._variants:
-                yield part, self._pillar_stamp(number, variant)
+        for pattern, classes in self._classes.items():
+            here = [variant for variant in self._variants if variant.pattern == pattern]
+            for number, part in classes.split(tile):
+                for variant in here:
+                    yield part, self._pillar_stamp(number, variant)
         if self._field is not None:
             yield from self._field.of(tile)
 
@@ -67,14 +77,14 @@ class Stamps:
         ``used``, shape (n_sizes + 1,), is the number of sites of each size in the ``filled`` tiles, (row, column).
         """
         if self._field is None:
-            return len(self._copies) * int(used[1:].sum())
-        return self._field.count(used, filled, self._copies)
+            return len(self.copies) * int(used[1:].sum())
+        return self._field.count(used, filled, self.copies)
 
     def without_pillars(self, filled: set[tuple[int, int]]) -> list[tuple[int, IntArray]]:
         """(layer, rectangles of shape (n, 4)) of the field in tiles that are not among ``filled``, of every copy."""
         if self._field is None:
             return []
-        return [(self._mask.field_layer, self._field.without_pillars(filled, self._copies))]
+        return [(self._mask.field_layer, self._field.without_pillars(filled, self.copies))]
 
 
 def shapes_per_pillar(design: Design) -> int:

@@ -7,11 +7,12 @@
 """
 
 from metafab.spec.mask.chip import Chip, Copy, Dose, Include
-from metafab.spec.mask.files import Exposure, Mask
+from metafab.spec.mask.files import MOST_DATATYPES, Exposure, Mask
 from metafab.spec.mask.kit import CdBars, Grating, Kit, Overlay, Vernier
 from metafab.spec.mask.process import BeamTerm, Etch, ExposureProcess, Process
 
 __all__ = [
+    "MOST_DATATYPES",
     "BeamTerm",
     "CdBars",
     "Chip",

@@ -61,7 +61,8 @@ class ExposureProcess(Checked):
     with_layers: tuple[Index, ...] | None = None
     #: Whether a correction gives each pillar one of some doses, or changes the drawn sizes, for tools with one dose.
     correction: Literal["dose", "shape"] = "dose"
-    classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 64  #: Number of doses that a correction may use.
+    #: Number of doses that a correction may use; "auto" for as few as change printed sizes by 0.1 nm at most.
+    classes: Annotated[int, Field(strict=True, ge=2, le=256)] | Literal["auto"] = 64
     source: str = "assumption"  #: Reference of the numbers.
 
     def _faults(self) -> Iterator[str]:

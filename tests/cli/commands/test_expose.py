@@ -16,7 +16,7 @@ from scipy.special import erf
 from metafab import exposure, layout, mask
 from metafab.core.conventions import FloatArray
 from metafab.core.storage.files import file_sha256
-from metafab.exposure import BeamTerm
+from metafab.exposure import BeamPsf, BeamTerm
 from metafab.library import Library, build, save
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Dose, UnitCell, load_design, load_unit_cell
@@ -228,11 +228,17 @@ def test_everything_beside_a_lens_is_counted(smooth_library: Library, tmp_path: 
         whole = _direct(psf, np.array(boxes), x, y) + sum(polygon_energy(beam, part - (x, y)) for part in rest)
         assert row["energy_centre"] == pytest.approx(ratio * whole, abs=answer.json["error"] + 1e-6)
         assert row["energy_centre"] > ratio * _direct(psf, np.array([b for b in boxes if b[4] == 1.2]), x, y) + 0.005
+    _check_both_corrected(path, tmp_path, [box for box in boxes if box[4] == 1.0], rest, beam)
     # Another design's frame: the file's is left out, and named.
     other = design_file(tmp_path / "other.toml", path, "", frame_um="0.0", street_um="0.0")
     answer = metafab("expose", tmp_path / "layout.oas", "--design", other, "--json", "--copy", "2")
     assert answer.code == 0
     assert "4 on 11/0" in answer.stderr
+    fitted = tmp_path / "cd.csv"
+    fitted.write_text("x_um,y_um,width_nm,length_nm,copy\n" + "0.175,0.175,120,120,2\n", encoding="utf-8")
+    refused = metafab("process", "fit", fitted, tmp_path / "layout.oas", "--design", other)
+    assert refused.code == 2
+    assert "4 on 11/0" in refused.stderr
     marked = design_file(tmp_path / "marked.toml", path, "", preset='"hsq_sos_100kv"\nwith_layers = [10]')
     answer = metafab("expose", tmp_path / "layout.oas", "--design", marked, "--json", "--copy", "2")
     assert {one["name"]: one["dose"] for one in answer.json["beside"]}["10/0 alignment marks"] == "counted"
@@ -240,6 +246,50 @@ def test_everything_beside_a_lens_is_counted(smooth_library: Library, tmp_path: 
     answer = metafab("expose", tmp_path / "layout.oas", "--design", unknown, "--json", "--copy", "2")
     assert (answer.code, answer.stdout) == (2, "")
     assert "process.exposure.with_layers" in answer.stderr
+
+
+def _check_both_corrected(path: Path, folder: Path, others: list[Any], rest: list[FloatArray], beam: BeamPsf) -> None:
+    """Both lenses have doses of their own; energies of the one that is read are sums over the corrected file.
+
+    ``others`` and ``rest`` are the rectangles and polygons beside both lenses, from the axis of the second one.
+    """
+    out, table = folder / "corrected", folder / "c.csv"
+    common = ("expose", folder / "layout.oas", "--design", path, "--json", "--correct", "-o", out, "--copy", "2")
+    refused = metafab(*common, "--dose-datatypes")
+    assert refused.code == 2
+    assert "mask.formats" in refused.stderr
+    common = (*common[:3], design_file(folder / "gds.toml", path, "", formats='["gds", "oas"]'), *common[4:])
+    answer = metafab(*common, "--sample", "1000000", "--sample-csv", table, "--dose-datatypes")
+    assert answer.code == 0, answer.stderr
+    copies = answer.json["copies"]
+    assert [(one["copy"], one["dose"], one["doses_of"]) for one in copies] == [(1, 0.9, 1), (2, 1.2, 2)]
+    rows = list(csv.DictReader((out / "doses.csv").open(encoding="utf-8")))
+    assert [row["copies"] for row in rows] == ["1"] * 16 + ["2"] * 16
+    dose = {int(row["datatype"]): float(row["dose_over_base_dose"]) for row in rows}
+    boxes = list(others)
+    for polygon in gdstk.read_oas(out / "layout.oas").top_level()[0].get_polygons():
+        if polygon.layer == 1:
+            low, high = 1e3 * np.array(polygon.bounding_box()) - (8900.0, 0.0)
+            boxes.append((*(0.5 * (low + high)), *(high - low), dose[polygon.datatype]))
+    by_class, by_dose = (
+        gdstk.read_gds(out / name).top_level()[0].get_polygons() for name in ("layout.gds", "doses.gds")
+    )
+    assert len(by_class) == len(by_dose)
+    for one, other in zip(by_class, by_dose, strict=True):
+        assert np.array_equal(one.points, other.points) and one.layer == other.layer
+        assert other.datatype == round(1000 * dose[one.datatype] if one.layer == 1 else 1000)
+    assert (out / "doses.txt").read_text().splitlines()[0].split() == ["1", "0", rows[0]["dose_over_base_dose"]]
+    figures, psf, ratio = np.array(boxes), answer.json["psf"]["terms"], answer.json["base_over_clearing_dose"]
+    samples = [{key: float(value) for key, value in row.items()} for row in csv.DictReader(table.open())]
+    samples.sort(key=lambda row: row["x_um"])
+    for row in (samples[0], samples[-1]):
+        x, y = 1e3 * row["x_um"], 1e3 * row["y_um"]
+        whole = _direct(psf, figures, x, y) + sum(polygon_energy(beam, part - (x, y)) for part in rest)
+        assert row["energy_centre"] == pytest.approx(ratio * whole, abs=answer.json["error"] + 1e-6)
+    read = load_design(design_file(folder / "read.toml", path, READ_BACK))
+    for number in (1, 2):
+        back = mask.read(out / "layout.oas", read, copy=number)
+        assert np.count_nonzero(back.pillars.to_array()) == answer.json["pillars"]
 
 
 def test_measured_sizes_become_a_process_file_that_a_design_uses(folder: Path, tmp_path: Path) -> None:

@@ -261,7 +261,9 @@ def test_the_write_time_of_an_inverted_mask_is_that_of_its_field(
     copies = (Copy((0.0, 0.0), dose=1.1), Copy((60.0, 0.0), 4.0, dose=1.1))
     design = _with(tiny_design, exposure=exposure, tone="inverted", copies=copies)
     written = mask.write(tiny.pillars, tmp_path, design)
-    assert {file.path.name for file in written} >= set(mask.table_names(design)) == {"doses.csv", "doses.jdi"}
+    assert (
+        {file.path.name for file in written} >= set(mask.table_names(design)) == {"doses.csv", "doses.jdi", "doses.txt"}
+    )
     # Datatype 0 of the field layer is the only one that is exposed.
     assert (tmp_path / "doses.csv").read_text() == "datatype,dose_over_base_dose\n0,1.100000\n"
     told = json.loads((tmp_path / "layout.json").read_text())["exposure"]

@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from metafab.core.errors import InputError
-from metafab.exposure import ExposureNumerics, expose
+from metafab.exposure import ExposedLens, ExposureNumerics, expose_lenses
 from metafab.exposure.fit import MeasuredLens, fit_process
 from metafab.layout import PillarMap
 from metafab.spec.mask import Etch, ExposureProcess
@@ -42,11 +42,10 @@ def measured(
     blur_nm = np.hypot(BLUR_NM, CONVERGENCE_MRAD * (focus_um - BEST_FOCUS_UM) / np.sqrt(2.0)) if focus_um else BLUR_NM
     places, sizes = [], []
     for dose in doses:
-        found = expose(
-            lens,
+        (found,) = expose_lenses(
+            (ExposedLens(lens, dose=dose),),
             BEAM.with_backscatter(ETA).blurred(blur_nm),
             base_over_clearing_dose=RATIO,
-            lens_dose=dose,
             numerics=ExposureNumerics(keep_sizes=True),
         )
         assert found.printed_less_drawn_nm is not None

@@ -36,7 +36,7 @@ def files(
     tiny: Assignment, dosed: Design, dose_class: np.ndarray, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, Path]:
     """The written mask by suffix."""
-    written = mask.write(tiny.pillars, tmp_path_factory.mktemp("dosed"), dosed, dose_class=dose_class)
+    written = mask.write(tiny.pillars, tmp_path_factory.mktemp("dosed"), dosed, dose_class=(dose_class,))
     return {file.path.suffix[1:]: file.path for file in written}
 
 
@@ -79,11 +79,17 @@ def test_each_pillar_lies_on_the_datatype_of_its_class(
         assert np.array_equal(sizes_at_sites(mask.read(files["oas"], single).pillars), expected)
 
 
-@pytest.mark.parametrize("case", ["missing", "shape", "class", "by"])
+@pytest.mark.parametrize("case", ["missing", "shape", "class", "by", "lenses"])
 def test_classes_that_do_not_fit_are_refused(
     case: str, tiny: Assignment, dosed: Design, dose_class: np.ndarray, tmp_path: Path
 ) -> None:
-    given = {"missing": None, "shape": dose_class[1:], "class": dose_class + np.uint8(1), "by": dose_class}[case]
+    given = {
+        "missing": (),
+        "shape": (dose_class[1:],),
+        "class": (dose_class + np.uint8(1),),
+        "by": (dose_class,),
+        "lenses": (dose_class, dose_class),
+    }[case]
     design = replace(dosed, mask=replace(dosed.mask, dose=Dose(by="size"))) if case == "by" else dosed
     with pytest.raises(InputError, match="dose"):
         mask.write(tiny.pillars, tmp_path, design, dose_class=given)

@@ -16,6 +16,7 @@ from benchmarks.exposure.made_lens import (
     Interval,
     PrintedLens,
     credible,
+    extinctions,
     ghost_over_own,
     predictions,
 )
@@ -121,3 +122,14 @@ def test_predictions_carry_the_uncertainties_of_the_known_factors() -> None:
     assert causes.middle == pytest.approx(0.7 * 0.9325 / (1.0 + 0.5 / 35.6), rel=3e-3)
     less = predictions(known, 0.7, [0.9, 0.95, 1.0, 1.0], 35.6)["with correction"]
     assert less.middle == pytest.approx(0.95 * 0.7, rel=3e-3)
+
+
+def test_extinction_of_an_aligned_lens_is_set_by_what_is_left_without_the_crystal() -> None:
+    """At 45 degrees the crystal decides: mean of its plate over thickness and filter. Aligned, the rest does."""
+    found = extinctions()
+    aligned, turned, anywhere = found.values()
+    # Means: neighbours 0.0024, polariser 0.0005, its rotation 0.0004, that of the crystal 0.0008, file 0.0001.
+    assert 1.0 / aligned.middle == pytest.approx(0.0042, rel=0.1)
+    assert turned.low < 0.1 < turned.middle < 3.0
+    assert turned.middle < anywhere.middle < aligned.middle
+    assert turned.high > 20.0
