@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+
+import pytest
 
 from metafab.cell import CellNumerics, PillarCell
 from metafab.cell.pillar import Slice
@@ -24,3 +27,4 @@ def test_waves_in_a_dense_cap_must_be_resolved() -> None:
     capped = replace(plain, over=(cap,))
     assert [unresolved(capped, orders) for orders in (8, 9, 10)] == [1.0, 1.0, 0.0]
     assert unresolved(plain, 8) == 0.0
+    assert unresolved(plain, 7) == pytest.approx(1e-3 * 2.25397 * 2.0 * math.pi * 1243.31 / 602.559)
