@@ -209,15 +209,19 @@ class _Pass:
 
     def _flush(self, at_least: int) -> Iterator[Chunk]:
         """Yield the collected shapes if there are enough of them."""
-        position = (self._outer or self._stream).position
-        self._reader.passed(position - self._passed)
-        self._passed = position
+        self._count_bytes()
         count = sum(map(len, self._rectangles)) + _PILLARS_OF_AN_OTHER * len(self._others)
         if self._indexing or count < at_least:
             return
         rectangles = self._rectangles or [np.empty((0, 4), dtype=np.int64)]
         yield Chunk(np.concatenate(rectangles) if len(rectangles) > 1 else rectangles[0], tuple(self._others))
         self._rectangles, self._others = [], []
+
+    def _count_bytes(self) -> None:
+        """Count the bytes of the file that were read since the last call."""
+        position = (self._outer or self._stream).position
+        self._reader.passed(position - self._passed)
+        self._passed = position
 
     def _record(self, kind: int) -> bool:
         """Read one record; return False when the cell of this pass ends."""
@@ -264,6 +268,7 @@ class _Pass:
         if size > min(_LARGEST_BLOCK, _LARGEST_RATIO * packed):
             raise DamagedError(f"a CBLOCK of {size} bytes in {packed}")
         content = stream.bytes(packed)
+        self._count_bytes()
         try:
             first = zlib.decompressobj(-15).decompress(content[:1024], 1)
             self._pillars_only = first == bytes([self._reader.pillar_kind]) and self._reader.skip_blocks
