@@ -22,6 +22,7 @@ ROOMS = (
     "library",
     "phase",
     "layout",
+    "apertures",
     "drc",
     "expose",
     "psf",
@@ -41,9 +42,10 @@ ROOM_OPTIONS = {
     "scenes": ("only", "seeds"),
     "expose": ("only",),
     "certificates": ("seed", "samples", "only"),
-    "files": ("seed", "samples"),
+    "files": ("seed", "samples", "only"),
     "films": ("samples",),
     "faults": ("seed", "samples"),
+    "apertures": ("only",),
 }
 #: Rooms that report their own progress.
 _REPORTING = {"scenes"}

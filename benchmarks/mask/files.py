@@ -1,6 +1,8 @@
 """Hostile files through every reader: each must be read, or refused in words, within 5 s of processor time and 1 GB.
 
-Masks come from a grammar, other formats from mutations (``hostile_files.py``). Files are read in a forked process whose
+Files by name (``named_files.py``) go to a command in a process of its own: masks to ``drc``, frames to ``decode``,
+designs to ``psf --ideal``. Drawn ones ("fuzzed") are many:
+masks come from a grammar, other formats from mutations (``hostile_files.py``). Files are read in a forked process whose
 memory and time per file are limited; a process that dies counts as a failure of the file that it was reading, and the
 next one goes on behind it. A row holds the counts of one format; ``failures`` names the seeds.
 """
@@ -23,6 +25,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from benchmarks.mask.hostile_files import maker
+from benchmarks.mask.named_files import NamedFile, named_files
+from benchmarks.pipeline.commands import Finished, finished
 from metafab import camera, decode, library, mask, optics
 from metafab.core.errors import InputError
 from metafab.core.storage.hdf5 import SEAL_BYTES
@@ -34,11 +38,18 @@ from metafab.spec import Design, load_design, load_scene, load_unit_cell
 Reader: TypeAlias = Callable[[Path], object]
 
 REPOSITORY = Path(__file__).parents[2]
-#: Share of the files of each format.
-FORMATS = {"oas": 0.35, "gds": 0.25, "toml": 0.12, "h5": 0.12, "tif": 0.08, "png": 0.03, "npy": 0.03, "csv": 0.02}
+#: Parts of the benchmark.
+PARTS = ("named", "fuzzed")
+#: Share of the fuzzed files of each format.
+FORMATS = {
+    "oas": 0.34, "gds": 0.24, "many.oas": 0.01, "many.gds": 0.01, "toml": 0.12, "h5": 0.12, "tif": 0.08, "png": 0.03,
+    "npy": 0.03, "csv": 0.02,
+}  # fmt: skip
 #: Limits of one file: processor time, s, and bytes besides what the process holds already.
 LIMIT_S, LIMIT_BYTES = 5.0, 1 << 30
 _FINE = ("read", "refused")
+#: Arguments of a small PSF pair.
+_ONE_DEPTH = ("--depths-m", "0.0028", "--window-px", "64")
 #: Processor time, s, after which a process is ended.
 _END_S = 20.0
 
@@ -47,7 +58,7 @@ _END_S = 20.0
 class Verdict:
     """Outcome of one file."""
 
-    kind: str  #: Its suffix.
+    kind: str  #: Its format, one of :data:`FORMATS`.
     seed: int  #: Its seed.
     outcome: str  #: "read", "refused", or why it failed.
     seconds: float  #: Processor time; NaN if the process died.
@@ -58,9 +69,71 @@ class Verdict:
         return self.outcome not in _FINE
 
 
-def rows(quick: bool, seed: int = 0, samples: int | None = None) -> list[dict[str, Any]]:
-    """A row of all files, and one for each format."""
-    wanted = samples or (80 if quick else 2000)
+def rows(quick: bool, seed: int = 0, samples: int | None = None, only: Sequence[str] = PARTS) -> list[dict[str, Any]]:
+    """A row of all fuzzed files, one for each of their formats, and one for each file by name."""
+    for part in only:
+        if part not in PARTS:
+            raise InputError.single("benchmark", "--only", f"one of {', '.join(PARTS)}", repr(part))
+    table = _fuzzed_rows(seed, samples or (80 if quick else 2000)) if "fuzzed" in only else []
+    return [*table, *(_named_rows(quick=quick) if "named" in only else ())]
+
+
+def _named_rows(*, quick: bool) -> Iterator[dict[str, Any]]:
+    """A row of each file by name; every eighth of them if ``quick``."""
+    design = (REPOSITORY / "layouts" / "helix_small.toml").read_text(encoding="utf-8")
+    design = design.replace('"..', f'"{REPOSITORY.as_posix()}')
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        psf = folder / "psf.h5"
+        done = finished(
+            "psf",
+            "--ideal",
+            "--design",
+            str(_written(folder / "whole.toml", design.encode())),
+            *_ONE_DEPTH,
+            "-o",
+            str(psf),
+        )
+        if done.code:
+            raise RuntimeError(f"the PSF pair of the frames failed: {done.stderr}")
+        start_s = 0.0
+        for file in named_files(design)[:: 8 if quick else 1]:
+            path = _written(folder / f"hostile.{file.suffix}", file.make())
+            arguments = ["drc", str(path), "--design", str(REPOSITORY / "layouts" / f"{file.design}.toml")]
+            if file.suffix == "toml":
+                arguments = ["psf", "--ideal", "--design", str(path), *_ONE_DEPTH]
+            elif file.suffix not in ("oas", "gds"):
+                arguments = ["decode", str(path), "--psf", str(psf)]
+            done = finished(*arguments, "--json", most_s=60)
+            start_s = start_s or done.processor_seconds  # of an empty mask: start of Python, imports, the design
+            yield _named_row(file, path.stat().st_size, done, start_s)
+            path.unlink()
+
+
+def _named_row(file: NamedFile, size: int, done: Finished, start_s: float) -> dict[str, Any]:
+    outcome = "read" if done.stdout.lstrip().startswith("{") and done.code in (0, 2) else "refused"
+    faults = [] if done.code in (0, 2) else [f"exit {done.code}"]
+    faults += ["a traceback"] if "Traceback" in done.stderr else []
+    faults += ["read"] if outcome == "read" and file.must_be_refused else []
+    faults += ["too slow"] if done.processor_seconds - start_s > LIMIT_S else []
+    faults += ["too large"] if done.peak_rss_mb > LIMIT_BYTES / 1e6 else []
+    lens = "" if file.design == "helix_small" else f", for {file.design}"
+    return {
+        "name": f"{file.suffix}: {file.name}{lens}",
+        "series": "named files",
+        "error": None,
+        "seconds": done.processor_seconds,
+        "peak_rss_mb": done.peak_rss_mb,
+        "bytes": size,
+        "outcome": outcome,
+        "failed": len(faults),
+        "failures": faults,
+        "message": (done.stderr or done.stdout).strip()[-200:],
+    }
+
+
+def _fuzzed_rows(seed: int, wanted: int) -> list[dict[str, Any]]:
+    """A row of all fuzzed files, and one for each format."""
     verdicts: list[Verdict] = []
     with tempfile.TemporaryDirectory() as folder:
         for kind, share in FORMATS.items():
@@ -150,16 +223,21 @@ def _outcome(read: Callable[[Path], object], path: Path) -> str:
 def _readers() -> Mapping[str, Sequence[Reader]]:
     """Readers by suffix."""
     design = load_design(REPOSITORY / "layouts" / "helix_small.toml")
-    design = replace(design, device=replace(design.device, aperture_um=6.0))
-    masks = (lambda path: mask.read(path, design), lambda path: _all_shapes(path, design))
+    small = replace(design, device=replace(design.device, aperture_um=6.0))
     return {
-        "gds": masks,
-        "oas": masks,
+        "gds": _mask_readers(small),
+        "oas": _mask_readers(small),
+        "many.gds": _mask_readers(design),
+        "many.oas": _mask_readers(design),
         "toml": (load_design, load_unit_cell, load_scene),
         "h5": (library.load, optics.load, camera.load, decode.load),
         "csv": (lambda path: read_table(path, "table"),),
         **dict.fromkeys(("tif", "png", "npy"), (read_counts,)),
     }
+
+
+def _mask_readers(design: Design) -> Sequence[Reader]:
+    return (lambda path: mask.read(path, design), lambda path: _all_shapes(path, design))
 
 
 def _all_shapes(path: Path, design: Design) -> None:

@@ -34,6 +34,8 @@ _EDGES = (
     2**62,
     2**63,
 )
+#: Bytes of the elements of a cell of many records: four such cells stay below 10 MB.
+_MOST_BYTES = 2_400_000
 _EDGES_SMALL = (0, 1, 2, 7, 32767, -1, -32768)
 _REALS = (0.0, -0.0, 1.0, 1e3, 1e-3, 2e3, 5e-324, 1e308, -1.0, float("inf"), float("nan"))
 _NAMES = ("A", "B", "C", "TOP", "", "A" * 300, "x y")
@@ -45,13 +47,15 @@ _TOKENS = (
 
 
 class Mask:
-    """Random masks of one lens of 6 um.
+    """Random masks.
 
     Args:
         seed: seed of the file.
+        most_bytes: size to which elements of some cells are repeated, up to a million times; 0 for no repetition.
     """
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, most_bytes: int = 0) -> None:
+        self._most_bytes = most_bytes
         self._random = random.Random(seed)
         # Files with many hostile values are refused at the first; those with few reach deeper code.
         self._hostility = self._random.choice((0.0, 0.01, 0.03, 0.1, 0.3))
@@ -68,6 +72,12 @@ class Mask:
 
     def _signed(self) -> int:
         return self._whole() * self._random.choice((1, 1, -1))
+
+    def _repeated(self, body: bytes) -> bytes:
+        """The elements of a cell, many times where the file is a large one."""
+        if not self._most_bytes or not body:
+            return body
+        return body * min(10 ** self._random.randrange(7), self._most_bytes // len(body))
 
     # OASIS
 
@@ -97,7 +107,7 @@ class Mask:
         draw = self._random
         name = draw.choice(_NAMES) if self._hostile() else f"C{number}"
         head = b"\x0d" + unsigned(self._whole()) if self._hostile() else b"\x0e" + string(name)
-        body = b"".join(self._element(number) for _ in range(draw.randrange(8)))
+        body = self._repeated(b"".join(self._element(number) for _ in range(draw.randrange(8))))
         if body and draw.random() < 0.15:
             packer = zlib.compressobj(9, zlib.DEFLATED, -15)
             packed = packer.compress(body) + packer.flush()
@@ -188,7 +198,7 @@ class Mask:
         cells = []
         for number in range(draw.randrange(1, 5)):
             name = draw.choice(_NAMES) if self._hostile() else f"C{number}"
-            body = b"".join(self._of_structure(number) for _ in range(draw.randrange(8)))
+            body = self._repeated(b"".join(self._of_structure(number) for _ in range(draw.randrange(8))))
             cells.append(
                 gds.record(gds.BGNSTR, times) + gds.record(gds.STRNAME, gds.text(name)) + body + gds.record(gds.ENDSTR)
             )
@@ -262,12 +272,14 @@ def maker(kind: str, whole: Mapping[str, bytes]) -> Callable[[int], bytes]:
     """Return the function from a seed to a hostile file of ``kind``, a file suffix.
 
     Args:
-        kind: "gds" and "oas" by grammar, one in four of them mutated besides; another suffix by mutation.
+        kind: "gds" and "oas" by grammar, one in four of them mutated besides, "many.gds" and "many.oas" with many
+            records; another suffix by mutation.
         whole: whole files by suffix.
     """
 
     def by_grammar(seed: int) -> bytes:
-        data = Mask(seed).oasis() if kind == "oas" else Mask(seed).gdsii()
+        mask = Mask(seed, _MOST_BYTES if kind.startswith("many.") else 0)
+        data = mask.oasis() if kind.endswith("oas") else mask.gdsii()
         return mutated(data, seed) if seed % 4 == 0 else data
 
-    return by_grammar if kind in ("gds", "oas") else lambda seed: mutated(whole[kind], seed)
+    return by_grammar if kind.endswith(("gds", "oas")) else lambda seed: mutated(whole[kind], seed)

@@ -14,7 +14,18 @@ from benchmarks.mask.hostile_files import Mask, mutated
 from metafab.core.errors import InputError
 
 #: Files of each format; the benchmark reads more.
-COUNT = {"oas": 300, "gds": 250, "toml": 60, "h5": 60, "tif": 60, "png": 30, "npy": 30, "csv": 10}
+COUNT = {
+    "oas": 300,
+    "gds": 250,
+    "many.oas": 6,
+    "many.gds": 7,
+    "toml": 60,
+    "h5": 60,
+    "tif": 60,
+    "png": 30,
+    "npy": 30,
+    "csv": 10,
+}
 
 
 @pytest.mark.parametrize("kind", files.FORMATS)

@@ -33,7 +33,7 @@ def benchmark_command(
         typer.Option(
             "--only",
             metavar="NAME",
-            help="Case of `scenes`, part of `expose` or kind of `certificates`; may be repeated.",
+            help="Case of `scenes`, part of `expose` or `files`, kind of `certificates`, um of `apertures`; repeats.",
         ),
     ] = None,
     seeds: Annotated[

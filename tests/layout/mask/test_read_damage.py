@@ -11,13 +11,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from benchmarks.mask.named_files import LISTS, list_in_a_block
 from metafab import drc, mask
 from metafab.core.errors import InputError
 from metafab.mask.gdsii.records import real, record, text
 from metafab.mask.oasis import elements
 from metafab.mask.oasis.writer import CBLOCK, CELL, END, MAGIC, PLACEMENT, START
 from metafab.spec import Design
-from tests.layout.bombs import LISTS, list_in_a_block
 
 FORMATS = ("gds", "oas")
 

@@ -10,13 +10,13 @@ import gdstk
 import numpy as np
 import pytest
 
+from benchmarks.mask.named_files import LISTS, list_in_a_block, records_in_a_block
 from metafab import drc, mask
 from metafab.core.errors import InputError
 from metafab.layout import Assignment
 from metafab.spec import Chip, Copy, Design
 from metafab.spec.design import Limits
 from metafab.spec.mask import Include
-from tests.layout.bombs import LISTS, list_in_a_block, records_in_a_block
 from tests.layout.conftest import sizes_at_sites
 
 FORMATS = ("gds", "oas")
