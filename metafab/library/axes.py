@@ -34,6 +34,7 @@ class CornerBox:
     nominal: Corner  #: Values of the unit cell itself.
     width_nm: Range  #: Smallest and largest width, bias included.
     length_nm: Range  #: Smallest and largest length, bias included.
+    is_round: bool = False  #: Whether width and length are one size, the diameter.
 
     @classmethod
     def of(cls, unit_cell: UnitCell) -> CornerBox | None:
@@ -44,12 +45,17 @@ class CornerBox:
         low, high = spans.get("cd_bias_nm", (0.0, 0.0))
         (narrow, wide), (short, long) = unit_cell.sweep.width_nm, unit_cell.sweep.length_nm
         nominal = {name: unit_cell.nominal(name) for name in spans}
-        return cls(spans, nominal, (narrow + low, wide + high), (short + low, long + high))
+        return cls(spans, nominal, (narrow + low, wide + high), (short + low, long + high), unit_cell.cell.is_round)
 
     @property
     def variables(self) -> tuple[str, ...]:
         """The axes that are variables of the model: all but the bias."""
         return tuple(name for name in self.spans if name != "cd_bias_nm")
+
+    @property
+    def dimensions(self) -> int:
+        """Number of independent sizes and variables."""
+        return (1 if self.is_round else 2) + len(self.variables)
 
     @property
     def exchanges(self) -> bool:

@@ -145,7 +145,10 @@ class Library(Displayed):
             return self
         exchange = box.exchanges and is_square(self.unit_cell) and np.array_equal(self.width_nm, self.length_nm)
         model, error, model_error = self.corners.at(box, corner, self.width_nm, self.length_nm, exchange)
-        t_xx, t_yy, r_xx, r_yy = model.on_grid(self.width_nm, self.length_nm)[:, None]
+        amplitudes, is_round = model.on_grid(self.width_nm, self.length_nm), self.unit_cell.cell.is_round
+        if is_round:
+            amplitudes, error = (np.where(self.known, values, np.nan) for values in (amplitudes, error))
+        t_xx, t_yy, r_xx, r_yy = amplitudes[:, None]
         unit_cell = corner_unit_cell(self.unit_cell, corner)
         return replace(
             self,
@@ -157,9 +160,9 @@ class Library(Displayed):
             r_yy=r_yy,
             error=error[None],
             inputs_sha256=fingerprint(self.inputs_sha256, sorted(corner.items())),
-            statistics=BuildStatistics(max_error=float(error.max())),
-            model=model,
-            model_error=model_error,
+            statistics=BuildStatistics(max_error=float(np.nanmax(error))),
+            model=None if is_round else model,
+            model_error=None if is_round else model_error,
             corners=None,
             corner=corner,
             neighbours=None,

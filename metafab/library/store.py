@@ -91,7 +91,7 @@ def load(path: Path | str) -> Library:
         model = None
         if "model" in file:
             parts = [[_complex(file, f"model/{axis}/{part}") for axis in "xy"] for part in ("numerator", "denominator")]
-            model = _checked(file["model/x"], 1, 0, np.stack(parts[0]), np.stack(parts[1]))
+            model = _checked(file["model/x"], (1, 0), np.stack(parts[0]), np.stack(parts[1]))
         return Library(
             embedded_unit_cell(str(file.attrs["unit_cell_toml"]), Path(path)),
             wavelength_nm,
@@ -167,7 +167,7 @@ def _put_corners(group: h5py.Group, corners: Corners) -> None:
     for k, model in enumerate((corners.models.best, *corners.models.rivals)):
         part = group.create_group(f"model_{k}")
         part.attrs["degrees"], part.attrs["axis_weight"] = model.shape.degrees, model.shape.weight
-        part.attrs["variables"] = model.shape.variables
+        part.attrs["variables"], part.attrs["sizes"] = model.shape.variables, model.shape.sizes
         _put_spans(part, model, "as made")
         basis = "of T_i(u) T_j(v) T_k(axis)..., i + j + weight k up to the degree, k slowest, then i, then j"
         text = f"coefficients by polarisation, term and (t, r) {basis}"
@@ -180,9 +180,9 @@ def _corners(group: h5py.Group) -> Corners:
     models = []
     for name in sorted(name for name in group if name.startswith("model_")):
         part = group[name]
-        weight, variables = int(part.attrs["axis_weight"]), int(part.attrs["variables"])
-        numerator, denominator = _complex(part, "numerator"), _complex(part, "denominator")
-        models.append(_checked(part, weight, variables, numerator, denominator))
+        # Files of before circles had axes name no sizes.
+        further = tuple(int(part.attrs.get(name, 2)) for name in ("axis_weight", "variables", "sizes"))
+        models.append(_checked(part, further, _complex(part, "numerator"), _complex(part, "denominator")))
     place, certificate = (np.asarray(group[key][()], dtype=np.float64) for key in ("place", "certificate"))
     safety_factor, floor = (float(group.attrs[key]) for key in ("factor", "floor"))
     statistics = _statistics(CornerStatistics, group, _CORNER_DETAIL)
@@ -190,12 +190,15 @@ def _corners(group: h5py.Group) -> Corners:
 
 
 def _checked(
-    group: h5py.Group, weight: int, variables: int, numerator: ComplexArray, denominator: ComplexArray
+    group: h5py.Group, further: tuple[int, ...], numerator: ComplexArray, denominator: ComplexArray
 ) -> RationalModel:
-    """Model with the degrees and ranges stored in ``group``; KeyError if the coefficients do not fit the degrees."""
+    """Model with the degrees and ranges stored in ``group``; KeyError if the coefficients do not fit the degrees.
+
+    ``further`` are the further fields of its shape.
+    """
     above, below = (int(degree) for degree in group.attrs["degrees"])
     width_nm, length_nm = _span(group, "width_nm"), _span(group, "length_nm")
-    shape = Shape((above, below), weight, variables)
+    shape = Shape((above, below), *further)
     if (numerator.shape, denominator.shape) != ((2, shape.terms[0], 2), (2, shape.terms[1])):
         raise KeyError(f"coefficients of degrees {above}, {below} in {group.name}")
     return RationalModel(width_nm, length_nm, shape, numerator, denominator)

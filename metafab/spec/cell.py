@@ -275,9 +275,19 @@ class UnitCell(Checked):
         smallest_nm = self.sweep.width_nm[0]
         if self.cell.shape == "ring" and not 0.0 < self.cell.hole_nm(smallest_nm) < smallest_nm:
             yield f"`sweep.width_nm` starts at {smallest_nm:g} nm: no ring of that outer diameter has this wall or hole"
-        if circles and self.sweep.axes is not None and self.sweep.axes.spans:
-            yield "`sweep.axes` is not available for circles and rings; build one library for each value"
         spans = {} if self.sweep.axes is None else self.sweep.axes.spans
+        is_ring = self.cell.shape == "ring"
+        shape = "hexagonal lattices" if self.cell.is_hexagonal else f"the shape {self.cell.shape!r}"
+        for name, is_refused in (
+            ("corner_radius_nm", self.cell.shape != "rectangle" or self.cell.is_hexagonal),
+            ("cd_bias_nm", is_ring),
+            *(
+                (name, is_ring or self.cell.is_hexagonal)
+                for name in ("sidewall_angle_deg", "angle_x_deg", "angle_y_deg")
+            ),
+        ):
+            if is_refused and name in spans:
+                yield f"`sweep.axes.{name}` is not available for {shape}; build one library for each value"
         for name, (low, high) in spans.items():
             if not low <= self.nominal(name) <= high:
                 yield (f"`sweep.axes.{name}` must contain the cell's own {self.nominal(name):g}, got [{low}, {high}]")

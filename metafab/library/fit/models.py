@@ -82,14 +82,15 @@ def fit_corner_models(
     """Rank shapes of models over sizes and axes by their error at held-out samples, then fit the best to all samples.
 
     The arguments are those of :func:`fit_size_models`; ``held_out`` has the shape (n,), ``exchange`` holds at every
-    corner.
+    corner. Samples of equal widths and lengths are circles.
     """
 
     def fit(some: Samples, shape: Shape) -> RationalModel:
         return fit_model(some, shape, spans_nm, np.ones(some.width_nm.size, dtype=bool) if exchange else None)
 
     equations = int(np.count_nonzero(~held_out)) * (2 if exchange else 1)
-    shapes = corner_shapes(equations, samples.axes.shape[1])
+    sizes = 1 if np.array_equal(samples.width_nm, samples.length_nm) else 2
+    shapes = corner_shapes(equations, samples.axes.shape[1], sizes)
     # The worst candidate is not used as a rival.
     return _fit_ranked(samples, held_out, shapes, fit, max(2, min(CORNER_MODELS, len(shapes) - 1)))
 
@@ -111,19 +112,20 @@ def _fit_ranked(
     return RankedModels(best, tuple(rivals))
 
 
-def corner_shapes(equations: int, variables: int) -> list[Shape]:
+def corner_shapes(equations: int, variables: int, sizes: int = 2) -> list[Shape]:
     """Return the shapes that a number of samples can determine: the largest numerator for each denominator.
 
-    ``equations`` counts the samples of one polarisation, ``variables`` the axes.
+    ``equations`` counts the samples of one polarisation, ``variables`` the axes; ``sizes`` is that of
+    :class:`~metafab.library.fit.rational.Shape`.
     """
     largest = []
     for weight, below in product(WEIGHTS if variables else WEIGHTS[:1], DENOMINATOR_DEGREES):
-        fitting = [Shape((above, below), weight, variables) for above in range(1, LARGEST_CORNER_DEGREE + 1)]
+        fitting = [Shape((above, below), weight, variables, sizes) for above in range(1, LARGEST_CORNER_DEGREE + 1)]
         largest += [shape for shape in fitting if shape.unknowns <= FILLING * 2 * equations][-1:]
     rich = [shape for shape in largest if shape.unknowns >= LEAST_FILLING * 2 * equations]
     # Without variables (a bias alone) there are many samples, and even the largest shapes fall below LEAST_FILLING.
     shapes = rich if len(rich) > 1 else largest
-    return shapes if len(shapes) > 1 else [Shape((2, 0), 2, variables), Shape((1, 0), 2, variables)]
+    return shapes if len(shapes) > 1 else [Shape((top, 0), 2, variables, sizes) for top in (2, 1)]
 
 
 def _size_shapes(equations: int) -> list[Shape]:

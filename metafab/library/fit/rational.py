@@ -45,12 +45,13 @@ class Shape:
     degrees: Degrees  #: Total degrees of the numerators and of the denominator.
     weight: int = 1  #: Factor of an axis' power in the total degree.
     variables: int = 0  #: Number of axes; 0 for sizes alone.
+    sizes: int = 2  #: 2 for width and length; 1 for the diameter of circles, which the model knows as the width.
 
     @property
     def powers(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Degrees of each factor in the numerators and in the denominator: shape (n_terms, 2 + variables) each."""
-        above, below = self.degrees
-        return _powers(above, self.weight, self.variables), _powers(below, self.weight, self.variables)
+        above, below = (_powers(degree, self.weight, self.variables) for degree in self.degrees)
+        return (above, below) if self.sizes == 2 else (above[above[:, 1] == 0], below[below[:, 1] == 0])
 
     @property
     def terms(self) -> tuple[int, int]:
@@ -155,8 +156,10 @@ def fit_model(
         above, below = _bases(shape, mirror_u, mirror_v, axes)
         values = np.concatenate([x_values, y_values[mirrored]])
         n, d = _fit_coefficients(above, below, values, shape, penalised)
-        swap_above, swap_below = (_exchange_permutation(powers) for powers in shape.powers)
-        fits = [(n, d), (n[swap_above], d[swap_below])]
+        fits = [(n, d), (n, d)]
+        if shape.sizes == 2:
+            swap_above, swap_below = (_exchange_permutation(powers) for powers in shape.powers)
+            fits[1] = n[swap_above], d[swap_below]
     return RationalModel(*spans_nm, shape, np.stack([n for n, _ in fits]), np.stack([d for _, d in fits]))
 
 

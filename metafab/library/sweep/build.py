@@ -123,8 +123,9 @@ def estimate_cost(unit_cell: UnitCell, *, target_error: float | None = None) -> 
     least, most = few * cell_s, RESONANT_COST * many * cell_s
     box = CornerBox.of(unit_cell)
     if box is not None:
-        dimensions = 2 + len(box.variables)
-        few_corners, many_corners = CornerNumerics.first_round * dimensions, CornerNumerics.most_cells * dimensions
+        few_corners, many_corners = (
+            each * box.dimensions for each in (CornerNumerics.first_round, CornerNumerics.most_cells)
+        )
         corner = {name: high for name, (_, high) in box.spans.items()}
         solver_error = SOLVER_SHARE * unit_cell.sweep.target_error
         cell_s = seconds_estimate(solver_error, corner_cell(unit_cell, width_nm, length_nm, corner))

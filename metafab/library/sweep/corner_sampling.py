@@ -63,7 +63,7 @@ class CornerSequence:
 
     def __init__(self, unit_cell: UnitCell, box: CornerBox, first_number: int, count: int) -> None:
         self._unit_cell, self._box, self._first = unit_cell, box, first_number
-        dimensions = 2 + len(box.variables)
+        dimensions = box.dimensions
         corners = np.array(list(product((-1.0, 1.0), repeat=dimensions)))
         # Steps of 1/g, 1/g^2, ... fill the cube evenly, g^(d+1) = g + 1 (Roberts' R_d sequence).
         root = 2.0
@@ -71,7 +71,9 @@ class CornerSequence:
             root = (1.0 + root) ** (1.0 / (dimensions + 1))
         steps = root ** -np.arange(1.0, dimensions + 1.0)
         inner = -np.cos(math.pi * np.mod(0.5 + np.arange(count)[:, None] * steps, 1.0))
-        self.place: FloatArray = np.concatenate([corners, inner])
+        place = np.concatenate([corners, inner])
+        # Width and length of circles are one coordinate.
+        self.place: FloatArray = np.insert(place, 1, place[:, 0], axis=1) if box.is_round else place
         self.axes: FloatArray = self.place[:, 2:]
         self.width_nm = _unscaled(self.place[:, 0], box.width_nm)
         self.length_nm = _unscaled(self.place[:, 1], box.length_nm)
@@ -113,7 +115,7 @@ def sample_corners(
     ``grid`` holds the sizes of the nominal library and ``nominal`` its answers by number; ``solve_points`` solves by
     checkpoint number.
     """
-    dimensions = sequence.place.shape[1]
+    dimensions = box.dimensions
     most, nominal_count = numerics.most_cells * dimensions, len(nominal)
     exchange = grid.exchange and box.exchanges
     cells = _SolvedCells.of(grid, box, nominal)

@@ -11,16 +11,19 @@ import numpy as np
 import pytest
 
 from metafab import library
-from metafab.cell import CellNumerics, solve
+from metafab.cell import CellNumerics, pillar_cell, solve
 from metafab.core.errors import InputError
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library import Library, build_size_table
 from metafab.library.axes import corner_cell
+from metafab.library.sweep.build import BuildNumerics
+from metafab.library.sweep.corner_sampling import CornerNumerics
 from metafab.library.use.any_size import response_of_sizes
 from metafab.library.use.lookup import phase_slope_per_nm
 from metafab.optics import WrittenField, written_field
 from metafab.report.figures import library as figures
 from metafab.spec import UnitCell, load_unit_cell
+from metafab.spec.cell import Axes
 from metafab.tolerance import corner_fields
 
 NITRIDE = Path(__file__).parents[3] / "unitcell_lib" / "sin_circles_633nm.toml"
@@ -96,7 +99,7 @@ def test_what_is_shown_runs_over_the_diameter(circles: Library) -> None:
     ("old", "new", "said"),
     [
         ("length_nm = [100.0, 250.0]", "length_nm = [100.0, 200.0]", "both are the diameter"),
-        ("[solver]", "[sweep.axes]\nheight_nm = [990.0, 1010.0]\n[solver]", "build one library for each value"),
+        ("[solver]", "[sweep.axes]\ncorner_radius_nm = [0.0, 10.0]\n[solver]", "not available for the shape 'circle'"),
     ],
 )
 def test_sweeps_that_are_no_circles_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
@@ -146,3 +149,22 @@ def test_a_slope_of_circles_is_compared_with_upright_walls_by_the_same_solver(
     sloped = corner_fields(two_circles, circles, {"sidewall_angle_deg": 0.01})[1]
     assert sloped.change < 2e-3
     assert np.abs(sloped.field.table[1:] / two_circles.table[1:] - 1.0).max() < 4e-3
+
+
+def test_circles_have_axes_like_other_shapes(tmp_path: Path) -> None:
+    """Wavelength and bias of a few diameters, by the model over diameter and axes, against the solver."""
+    cell = load_unit_cell(NITRIDE)
+    axes = Axes(wavelength_nm=(625.0, 641.0), cd_bias_nm=(-5.0, 5.0))
+    sweep = replace(cell.sweep, width_nm=(120.0, 220.0), length_nm=(120.0, 220.0), size_grid_nm=20.0, axes=axes)
+    asked = replace(cell, sweep=replace(sweep, target_error=2e-2))
+    built = library.build(asked, numerics=BuildNumerics(corners=CornerNumerics(256, 24, 48)))
+    library.save(built, tmp_path / "circles.h5")
+    there = library.load(tmp_path / "circles.h5").at(wavelength_nm=638.0, cd_bias_nm=3.0)
+    np.testing.assert_array_equal(there.known, np.eye(6, dtype=bool))
+    for diameter_nm in (120.0, 180.0, 220.0):
+        found = there.at_sizes(diameter_nm, diameter_nm)
+        own = solve(pillar_cell(cell, diameter_nm + 3.0, diameter_nm + 3.0, wavelength_nm=638.0), CellNumerics(4e-3))
+        assert abs(found.t_xx - own.t[0, 0]) < found.error + own.error < 8e-2
+        assert found.t_yy == pytest.approx(found.t_xx, abs=1e-9)
+    with pytest.raises(InputError, match="625 to 641"):
+        built.at(wavelength_nm=650.0)
