@@ -166,6 +166,10 @@ def exposure(run: RunFolder, drawn: Drawn) -> str:
     rows = [_printed("one dose", record.plain)]
     if record.corrected is not None:
         rows.append(_printed(f"corrected {record.correction}s", record.corrected))
+        figures = record.corrected.figures
+        if figures.continuous_rms_nm is not None and figures.continuous_max_nm is not None:
+            sizes = map(html.number, (figures.continuous_rms_nm, figures.continuous_max_nm))
+            rows.append(["before rounding to classes", *sizes, *[""] * 5])
     caption = (
         f"Printed less drawn widths and lengths by the threshold model. Beam: {record.psf_source}. Maps: means over "
         "blocks. Process window: mean and one standard deviation."

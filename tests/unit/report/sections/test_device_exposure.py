@@ -17,6 +17,7 @@ from metafab.report.style import panel
 
 FIGURES = ExposureFigures(1000, 0.582, 1.84, -0.01, 0, 1.0, 1.0, 1, 0.401, 27.0, 0.1, 2.3, 4e-5, 0)
 AFTER = replace(FIGURES, cd_error_rms_nm=0.0217, cd_error_max_nm=0.0652, dose_min=0.99, dose_max=1.05, classes=64)
+AFTER = replace(AFTER, continuous_rms_nm=0.0193, continuous_max_nm=0.0481)
 
 
 @pytest.fixture
@@ -43,7 +44,16 @@ def test_the_page_shows_the_exposure_of_its_own_mask(record: ExposureRecord, tmp
     save_record(replace(record, mask_sha256=file_sha256(tmp_path / "layout.oas")), tmp_path / "exposure.json")
     text = report.write(tmp_path).read_text(encoding="utf-8")
     assert 'id="exposure"' in text
-    for cell in ("one dose", "corrected doses", "0.582", "0.0217", "0.99 to 1.05", "Monte Carlo &lt;100 kV&gt;"):
+    for cell in (
+        "one dose",
+        "corrected doses",
+        "0.582",
+        "0.0217",
+        "0.0193",
+        "0.0481",
+        "0.99 to 1.05",
+        "Monte Carlo &lt;100 kV&gt;",
+    ):
         assert cell in text
     drawn = {path.stem for path in (tmp_path / "figures").glob("exposure_*.png")}
     assert drawn == {f"exposure_{kind}" for kind in ("map_plain", "map_corrected", "histogram", "window")}
