@@ -69,8 +69,6 @@ def _oasis() -> dict[str, Callable[[], bytes]]:
     behind = _cell("A") + _rectangle()
     files: dict[str, bytes | Callable[[], bytes]] = {
         "a rectangle 2^14 x 2^14 times": _cell("A") + _rectangle(grid=grid),
-        "a rectangle of another layer 2^14 x 2^14 times": behind + _rectangle(9, grid),
-        "a text 2^14 x 2^14 times": behind + _text(grid),
         "a cell placed 2^14 x 2^14 times": top + _placed("A", grid),
         "seven levels of 2^14 x 2^14 placements": _nested(8, lambda below: _placed(below, grid)),
         "cells nested 1000 deep": _nested(1000, _placed),
@@ -101,6 +99,8 @@ def _harmless() -> dict[str, Callable[[], bytes]]:
     behind = _cell("A") + _rectangle()
     return {
         "an empty cell": partial(_file, _cell("A")),
+        "a rectangle of another layer 2^14 x 2^14 times": partial(_file, behind + _rectangle(9, _grid())),
+        "a text 2^14 x 2^14 times": partial(_file, behind + _text(_grid())),
         "3.3 million rectangles": lambda: _file(behind + bytes([_RECTANGLE, 0x10, 2]) * 3_300_000),
     }
 

@@ -13,6 +13,14 @@ from pathlib import Path
 from typing import Any
 
 REPOSITORY = Path(__file__).parents[2]
+#: Runs a command and writes its exit code, processor time and memory to a file. A process begins with the memory of the
+#: one that starts it as its largest: this one is small.
+_MEASURE = """
+import os, sys
+_, status, used = os.wait4(os.spawnv(os.P_NOWAIT, sys.argv[2], sys.argv[2:]), 0)
+figures = os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, used.ru_maxrss * 1024 / 1e6
+open(sys.argv[1], "w").write(" ".join(map(str, figures)))
+"""
 
 
 @dataclass(frozen=True)
@@ -35,16 +43,13 @@ def command(*arguments: str) -> dict[str, Any]:
 
 def finished(*arguments: str, most_s: int = 3600) -> Finished:
     """Run ``metafab`` to its end, or until one of its processes has taken ``most_s`` of processor time."""
-    with tempfile.TemporaryFile("w+") as stdout, tempfile.TemporaryFile("w+") as stderr:
+    with tempfile.NamedTemporaryFile("r") as figures:
+        told = command(*arguments)
+        told["args"] = [sys.executable, "-S", "-c", _MEASURE, figures.name, *told["args"]]
         start = time.perf_counter()
-        process = subprocess.Popen(**command(*arguments), stdout=stdout, stderr=stderr)
+        process = subprocess.Popen(**told, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
         resource.prlimit(process.pid, resource.RLIMIT_CPU, (most_s, most_s))
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
+        stdout, stderr = process.communicate()
         seconds = time.perf_counter() - start
-        texts = []
-        for stream in (stdout, stderr):
-            stream.seek(0)
-            texts.append(stream.read())
-    busy = used.ru_utime + used.ru_stime
-    return Finished(process.returncode, texts[0], texts[1], seconds, busy, used.ru_maxrss * 1024 / 1e6)
+        code, busy_s, peak_rss_mb = figures.read().split()
+    return Finished(int(code), stdout, stderr, seconds, float(busy_s), float(peak_rss_mb))

@@ -50,7 +50,7 @@ def test_read_back_is_exact(suffix: str, tiny: Assignment, tiny_design: Design, 
 def test_the_pass_over_skipped_blocks_gives_their_pages_back(
     tiny_design: Design, tiny_files: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else the whole file is in memory: 2.4 GB of a lens of 20 mm."""
+    """Else the whole file stays in memory."""
     path, released = tiny_files["oas"], list[int]()
     monkeypatch.setattr(reader, "_RELEASED", path.stat().st_size // 8)
     monkeypatch.setattr(reader, "release", lambda data: released.append(data.size))
