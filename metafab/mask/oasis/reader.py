@@ -179,13 +179,14 @@ class _Pass:
         self._unplaced: Iterator[None] = iter(())  # places the copies of the last shape, a block at a time
         #: Cell, orientation, and x and y of the placements that are not yet among the references.
         self._placed: tuple[str, Orientation | None, array[int]] | None = None
+        self._passed = self._stream.position
         if place is not None:
             block, position = place
+            self._passed = position if block is None else block
             if block is not None:
                 self._stream = Stream(reader.data, block + 1, reader.budget.inflate)
                 self._enter_block()
             self._stream.position = position
-        self._passed = (self._outer or self._stream).position
 
     def __iter__(self) -> Iterator[Chunk]:
         while True:
