@@ -43,27 +43,27 @@ def functions_of(mesh: QuarterMesh, light: Polarisation, order: int) -> Function
     numbering = _Numbering(mesh, light, order)
     numbered = [numbering.of_element(quad) for quad in mesh.quads]
     gradient = np.zeros((numbering.n_e, numbering.n_z))
-    slope = shapes(order, np.zeros(1)).slope
     elements = []
     for quad, (along_u, along_v, along_z) in zip(mesh.quads, numbered, strict=True):
-        elements.append(_element(quad, order, (along_u, along_v, along_z)))
+        elements.append(_element(quad, quad.orders(order), (along_u, along_v, along_z)))
         # Gradient of N_i(u) N_j(v): N_i' is a sum of edge functions along u, and likewise along v.
-        (z, sign_z) = along_z
-        for i, k in np.argwhere(slope):
-            for (number, sign), ends in (
-                ((along_u[0][k], along_u[1][k]), (z[i], sign_z[i])),
-                ((along_v[0][:, k], along_v[1][:, k]), (z[:, i], sign_z[:, i])),
-            ):
-                both = (number >= 0) & (ends[0] >= 0)
-                gradient[number[both], ends[0][both]] = slope[i, k] * (sign * ends[1])[both]
+        turned = tuple(each.T for each in along_z)
+        of_u, of_v = (shapes(each, np.zeros(1)).slope for each in quad.orders(order))
+        for slope, (number, sign), (z, sign_z) in (
+            (of_u, along_u, along_z),
+            (of_v, (along_v[0].T, along_v[1].T), turned),
+        ):
+            for i, k in np.argwhere(slope):
+                both = (number[k] >= 0) & (z[i] >= 0)
+                gradient[number[k][both], z[i][both]] = slope[i, k] * (sign[k] * sign_z[i])[both]
     return Functions(tuple(elements), gradient)
 
 
-def _element(quad: Quad, order: int, numbers: tuple[_Numbers, _Numbers, _Numbers]) -> Element:
-    """Values of the functions of one element."""
-    count = order + _NODES
+def _element(quad: Quad, orders: tuple[int, int], numbers: tuple[_Numbers, _Numbers, _Numbers]) -> Element:
+    """Values of the functions of one element of ``orders`` along u and v."""
+    count = max(orders) + _NODES
     node, weight = np.polynomial.legendre.leggauss(count)
-    own, place = shapes(order, node), quad.geometry(node, node)
+    (u, v), place = (shapes(order, node) for order in orders), quad.geometry(node, node)
     zero = np.zeros(1)
 
     def product(of_u: FloatArray, of_v: FloatArray) -> FloatArray:
@@ -76,10 +76,10 @@ def _element(quad: Quad, order: int, numbers: tuple[_Numbers, _Numbers, _Numbers
         return number[some], signed.reshape(*signed.shape[:-2], count * count)
 
     along_u, along_v, along_z = numbers
-    e_u, e_v = place.physical(product(own.edge, own.nodal), zero), place.physical(zero, product(own.nodal, own.edge))
-    curl = np.concatenate([-product(own.edge, own.nodal_slope), product(own.nodal_slope, own.edge)]) / place.area
+    e_u, e_v = place.physical(product(u.edge, v.nodal), zero), place.physical(zero, product(u.nodal, v.edge))
+    curl = np.concatenate([-product(u.edge, v.nodal_slope), product(u.nodal_slope, v.edge)]) / place.area
     at_e, fields = kept(np.concatenate([np.stack(e_u), np.stack(e_v)], axis=1), [along_u, along_v])
-    at_z, e_z = kept(product(own.nodal, own.nodal), [along_z])
+    at_z, e_z = kept(product(u.nodal, v.nodal), [along_z])
     return Element(
         place=at_e,
         e=fields,
@@ -108,13 +108,13 @@ class _Numbering:
         self.n_e = self.n_z = 0
 
     def of_element(self, quad: Quad) -> tuple[_Numbers, _Numbers, _Numbers]:
-        """Numbers of E along u, shape (p, p + 1), along v, (p + 1, p), and of E_z, (p + 1, p + 1)."""
-        p = self._order
-        numbers = np.empty((p, p + 1), np.intp), np.empty((p + 1, p), np.intp), np.empty((p + 1, p + 1), np.intp)
-        signs = np.ones((p, p + 1)), np.ones((p + 1, p)), np.ones((p + 1, p + 1))
+        """Numbers of E along u, shape (p, q + 1), along v, (p + 1, q), and of E_z, (p + 1, q + 1)."""
+        p, q = orders = quad.orders(self._order)
+        numbers = np.empty((p, q + 1), np.intp), np.empty((p + 1, q), np.intp), np.empty((p + 1, q + 1), np.intp)
+        signs = np.ones((p, q + 1)), np.ones((p + 1, q)), np.ones((p + 1, q + 1))
         for i, side in enumerate(quad.sides):
-            of_e, of_z, sign = self._side(*side)
             axis, end = divmod(i, 2)
+            of_e, of_z, sign = self._side(*side, orders[axis])
             # Functions of a side: all along it, those of its end across it.
             if axis == 0:
                 numbers[0][:, end], numbers[2][2:, end] = of_e, of_z
@@ -125,14 +125,14 @@ class _Numbering:
         for corner, at in zip(quad.corners_nm, ((0, 0), (1, 0), (1, 1), (0, 1)), strict=True):
             numbers[2][at], signs[2][at] = self._vertex(corner)
         numbers[0][:, 2:], numbers[1][2:], numbers[2][2:, 2:] = (
-            self._new_e(p * (p - 1)).reshape(p, p - 1),
-            self._new_e(p * (p - 1)).reshape(p - 1, p),
-            self._new_z((p - 1) ** 2).reshape(p - 1, p - 1),
+            self._new_e(p * (q - 1)).reshape(p, q - 1),
+            self._new_e((p - 1) * q).reshape(p - 1, q),
+            self._new_z((p - 1) * (q - 1)).reshape(p - 1, q - 1),
         )
         along_u, along_v, along_z = zip(numbers, signs, strict=True)
         return along_u, along_v, along_z
 
-    def _side(self, begin: Point, end: Point) -> tuple[IntArray, IntArray, float]:
+    def _side(self, begin: Point, end: Point, order: int) -> tuple[IntArray, IntArray, float]:
         (one, sign), (other, of_end) = self._canonical(begin), self._canonical(end)
         if self._is_on_cut(begin) and self._is_on_cut(end):
             sign = min(sign, of_end)  # the middle of a turn is its own image
@@ -144,9 +144,12 @@ class _Numbering:
         if (*ends, sense) not in self._sides:
             if (*ends[::-1], not sense) in self._sides:
                 raise ValueError(f"the side from {one} to {other} runs against that of its neighbour")
-            p, left_out = self._order, self._is_normal(one, other)
-            numbers = (np.full(p, -1), np.full(p - 1, -1)) if left_out else (self._new_e(p), self._new_z(p - 1))
-            self._sides[*ends, sense] = numbers
+            left_out = self._is_normal(one, other)
+            self._sides[*ends, sense] = (
+                (np.full(order, -1), np.full(order - 1, -1))
+                if left_out
+                else (self._new_e(order), self._new_z(order - 1))
+            )
         return (*self._sides[*ends, sense], sign)
 
     def _vertex(self, point: Point) -> tuple[int, float]:

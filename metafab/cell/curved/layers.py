@@ -156,4 +156,11 @@ def _admittance(
     """Y of a half space: h = Y e for outgoing waves, shape (N, N), symmetric."""
     (k_tm, tm), (k_te, te) = waves
     of_tm, of_te = (distinct_root(eps - k_squared / k0_per_nm**2) for k_squared in (k_tm, k_te))
-    return np.asarray((tm * (eps / of_tm)) @ tm.T + (te * of_te) @ te.T)
+    weight, fields = np.concatenate([eps / of_tm, of_te]), np.concatenate([tm, te], axis=1)
+
+    def summed(part: FloatArray) -> FloatArray:
+        # Among real indices, waves that travel have a real weight, the others an imaginary one.
+        some = part != 0.0
+        return np.asarray((fields[:, some] * part[some]) @ fields[:, some].T)
+
+    return np.asarray(summed(weight.real) + 1j * summed(weight.imag))

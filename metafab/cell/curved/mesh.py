@@ -18,6 +18,8 @@ _ON_AXIS, _ON_DIAGONAL = 0.55, 0.45
 _SMALLEST_GAP = 0.02
 #: Flat side of a rounded rectangle that counts as none, as a share of its size.
 _NO_SIDE = 1e-3
+#: Phase, rad, of light along an element of a rounded rectangle for which its order rises by one, and the most rises.
+_PER_ORDER_RAD, _MOST_ORDERS = 1.6, 2
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ def quarter_mesh(cell: PillarCell) -> QuarterMesh:
     """
     half_nm, radius_nm = _sizes(cell)
     if cell.shape == "rectangle":
-        return _rounded(half_nm, radius_nm, min(cell.corner_radius_nm, *radius_nm))
+        return _rounded(cell, half_nm, radius_nm)
     arc = Arc((0.0, 0.0), radius_nm, 0.0, 0.5 * math.pi)
     middle = (0.5 * half_nm[0], 0.5 * half_nm[1]) if cell.is_staggered else None
     around = _around(arc, (half_nm[0], 0.0), middle or half_nm, (0.0, half_nm[1]))
@@ -99,34 +101,50 @@ def _sizes(cell: PillarCell) -> tuple[Point, Point]:
     return half_nm, (0.5 * cell.width_nm, 0.5 * cell.length_nm)
 
 
-def _rounded(half_nm: Point, size_nm: Point, radius_nm: float) -> QuarterMesh:
-    """A rectangle of half size ``size_nm`` with rounded corners, in up to eight elements, and what is around it."""
+def _rounded(cell: PillarCell, half_nm: Point, size_nm: Point) -> QuarterMesh:
+    """A rectangle of half size ``size_nm`` with rounded corners, in up to eight elements, and what is around it.
+
+    The gap has the order of the mesh, the pillar one less, as the field varies most beside the outline's walls. Each
+    rises with the phase of light along the element.
+    """
     (far_x, far_y), (x3, y3) = half_nm, size_nm
+    radius_nm = min(cell.corner_radius_nm, x3, y3)
     x1, y1 = (0.0 if size - radius_nm < _NO_SIDE * size else size - radius_nm for size in size_nm)
     arc = Arc((x1, y1), (x3 - x1, y3 - y1), 0.0, 0.5 * math.pi)
-    corner = _disc(arc)
-    x2, y2 = corner[0].corners_nm[1][0], corner[0].corners_nm[3][1]
+    layers = (*cell.under, *cell.over)
+    outside = max(map(abs, (cell.n_ambient, *cell.n_substrate, *(each.n_around for each in layers))))
+    densest = max(outside, *map(abs, (cell.n_pillar, *(each.n_inside for each in layers))))
 
-    def box(x: Point, y: Point, gathered: tuple[int, int] = (0, 0), *, inside: bool = True) -> list[Quad]:
+    def rise(length_nm: float, n: float) -> int:
+        return min(_MOST_ORDERS, int(cell.k0_per_nm * n * length_nm / _PER_ORDER_RAD))
+
+    flat_x, flat_y, corner = (rise(length_nm, densest) - 1 for length_nm in (x1, y1, 2.0 * radius_nm))
+    gap = rise(max(far_x - x3, far_y - y3), outside)
+    disc = _disc(arc, extra=corner)
+    x2, y2 = disc[0].corners_nm[1][0], disc[0].corners_nm[3][1]
+
+    def box(
+        x: Point, y: Point, extra: tuple[int, int], gathered: tuple[int, int] = (0, 0), *, inside: bool = True
+    ) -> list[Quad]:
         points = (x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])
-        return [Quad(points, inside, gathered=gathered)] if x[1] > x[0] and y[1] > y[0] else []
+        return [Quad(points, inside, gathered=gathered, extra=extra)] if x[1] > x[0] and y[1] > y[0] else []
 
     quads = [
-        *box((0.0, x1), (0.0, y1)),
-        *box((x1, x2), (0.0, y1)),
-        *box((x2, x3), (0.0, y1), (1, 0)),
-        *box((0.0, x1), (y1, y2)),
-        *box((0.0, x1), (y2, y3), (0, 1)),
-        *corner,
-        *box((x3, far_x), (0.0, y1), (-1, 0), inside=False),
-        *box((0.0, x1), (y3, far_y), (0, -1), inside=False),
-        *_around(arc, (far_x, y1), half_nm, (x1, far_y)),
+        *box((0.0, x1), (0.0, y1), (flat_x, flat_y)),
+        *box((x1, x2), (0.0, y1), (corner, flat_y)),
+        *box((x2, x3), (0.0, y1), (corner, flat_y), (1, 0)),
+        *box((0.0, x1), (y1, y2), (flat_x, corner)),
+        *box((0.0, x1), (y2, y3), (flat_x, corner), (0, 1)),
+        *disc,
+        *box((x3, far_x), (0.0, y1), (gap, flat_y), (-1, 0), inside=False),
+        *box((0.0, x1), (y3, far_y), (flat_x, gap), (0, -1), inside=False),
+        *_around(arc, (far_x, y1), half_nm, (x1, far_y), extra=(corner, gap)),
     ]
     return QuarterMesh(tuple(quads), half_nm)
 
 
-def _disc(arc: Arc, *, inside: bool = True) -> tuple[Quad, Quad, Quad]:
-    """A quarter disc within its arc of a quarter turn."""
+def _disc(arc: Arc, *, inside: bool = True, extra: int = 0) -> tuple[Quad, Quad, Quad]:
+    """A quarter disc within its arc of a quarter turn, with ``extra`` orders."""
     o = arc.centre_nm
     begin, middle, end = (arc.at(share) for share in (0.0, 0.5, 1.0))
 
@@ -135,9 +153,9 @@ def _disc(arc: Arc, *, inside: bool = True) -> tuple[Quad, Quad, Quad]:
 
     a, b, c = within(begin, o, _ON_AXIS), within(end, o, _ON_AXIS), within(begin, end, _ON_DIAGONAL)
     return (
-        Quad((o, a, c, b), inside),
-        Quad((a, begin, middle, c), inside, right=arc.part(0.0, 0.5), gathered=(1, 0)),
-        Quad((b, c, middle, end), inside, top=arc.part(1.0, 0.5), gathered=(0, 1)),
+        Quad((o, a, c, b), inside, extra=(extra, extra)),
+        Quad((a, begin, middle, c), inside, right=arc.part(0.0, 0.5), gathered=(1, 0), extra=(extra, extra)),
+        Quad((b, c, middle, end), inside, top=arc.part(1.0, 0.5), gathered=(0, 1), extra=(extra, extra)),
     )
 
 
@@ -150,10 +168,14 @@ def _between(inner: Arc, outer: Arc, gathered: int) -> tuple[Quad, Quad]:
     )
 
 
-def _around(arc: Arc, beside: Point, beyond: Point, above: Point) -> tuple[Quad, Quad]:
-    """The two elements between an arc and the points beside its begin, beyond its middle and above its end."""
+def _around(
+    arc: Arc, beside: Point, beyond: Point, above: Point, *, extra: tuple[int, int] = (0, 0)
+) -> tuple[Quad, Quad]:
+    """The two elements between an arc and the points beside its begin, beyond its middle and above its end.
+
+    ``extra`` are the additional orders along the arc and across the gap.
+    """
     begin, middle, end = (arc.at(share) for share in (0.0, 0.5, 1.0))
-    return (
-        Quad((begin, beside, beyond, middle), inside=False, left=arc.part(0.0, 0.5), gathered=(-1, 0)),
-        Quad((end, middle, beyond, above), inside=False, bottom=arc.part(1.0, 0.5), gathered=(0, -1)),
-    )
+    right = Quad((begin, beside, beyond, middle), inside=False, left=arc.part(0.0, 0.5), gathered=(-1, 0))
+    top = Quad((end, middle, beyond, above), inside=False, bottom=arc.part(1.0, 0.5), gathered=(0, -1))
+    return replace(right, extra=extra[::-1]), replace(top, extra=extra)

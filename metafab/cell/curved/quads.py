@@ -66,6 +66,13 @@ class Quad:
     #: along it alike.
     gathered: tuple[int, int] = (0, 0)
 
+    #: Polynomial orders (along u, along v) beyond the mesh's. Elements that share a side have one order along it.
+    extra: tuple[int, int] = (0, 0)
+
+    def orders(self, order: int) -> tuple[int, int]:
+        """Polynomial orders along u and v where the mesh has ``order``."""
+        return max(1, order + self.extra[0]), max(1, order + self.extra[1])
+
     @property
     def sides(self) -> tuple[tuple[Point, Point], ...]:
         """Begin and end of the sides bottom, top, left and right."""
