@@ -129,9 +129,8 @@ def _site(cell: PillarCell, middle: Point, *, solid: bool, is_half: bool) -> Ite
             three, four = (place(outer, turn, on_arc=bool(of_arc)) for turn in (end, begin))
             arc, inside = Arc(middle, radius, begin, end), solid and bool(of_arc)
             gathered = 1 if of_arc else -1
+            near, far = (None, arc) if of_arc else (arc, None)
             if along_x:
-                side = {("bottom", "top")[of_arc]: arc}
-                yield Quad((one, two, three, four), inside, gathered=(0, gathered), **side)
+                yield Quad((one, two, three, four), inside, bottom=near, top=far, gathered=(0, gathered))
             else:
-                side = {("left", "right")[of_arc]: arc}
-                yield Quad((one, four, three, two), inside, gathered=(gathered, 0), **side)
+                yield Quad((one, four, three, two), inside, left=near, right=far, gathered=(gathered, 0))
