@@ -103,8 +103,8 @@ class Cells:
     column: FloatArray  #: Shape (n,), column of its centre.
     vergence_per_m: FloatArray  #: Shape (n,), 1/depth at the largest correlation of its twins.
     error_per_m: FloatArray  #: Shape (n,), standard error of the vergence; inf for a cell without a depth.
-    #: Shape (3, n_candidates), products summed over the segment, small cells included; without the cells along the
-    #: picture's rim, beyond which the segment may continue, unless hardly any others are there.
+    #: Shape (3, n_candidates), products summed over the segment, small cells included; without the cells along a rim of
+    #: the picture that the segment reaches, beyond which it may continue, unless hardly any others are there.
     whole: FloatArray
     size: int  #: Pixels of ``whole``.
 
@@ -139,9 +139,11 @@ class Cells:
         error = standard_error(peak.height, peak.curvature / volume.step_per_m**2, 1.0)
         error = np.where(peak.inside & (peak.height > 0.0), error / np.sqrt(pixels * volume.samples), np.inf)
         clear = np.ones(number.size, dtype=bool)
-        for middle, length in zip((middle_row, middle_column), label.shape, strict=True):
-            clear &= (middle >= side) & (middle < length - side)
-        starts = np.searchsorted(number // (down * across), np.arange(1, count + 2))
+        segment = number // (down * across)
+        for axis, middle in enumerate((middle_row, middle_column)):
+            for rim, near in ((0, middle < side), (-1, middle >= label.shape[axis] - side)):
+                clear &= ~(near & np.isin(segment, label.take(rim, axis)))
+        starts = np.searchsorted(segment, np.arange(1, count + 2))
         cells = []
         for start, stop in itertools.pairwise(starts.tolist()):
             measured = start + np.flatnonzero(clear[start:stop])

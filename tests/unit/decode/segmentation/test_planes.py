@@ -153,3 +153,12 @@ def test_cells_that_say_nothing_make_no_plane() -> None:
     cells = grid_of_cells(over(Plane(2.0, (0.004, 0.0))), 1, np.inf)
     assert ransac_planes(cells, SIDE, SEPARATION_PER_M) == []
     assert ransac_planes(cells.chosen(np.zeros(cells.row.size, dtype=bool)), SIDE, SEPARATION_PER_M) == []
+
+
+def test_cells_along_the_rim_count_unless_the_segment_reaches_it() -> None:
+    volume = CostVolume(np.linspace(1.0, 3.0, 5), np.ones((3, 5, 120, 120), dtype=np.float32), 0.5, 1.0)
+    before_the_rim, beyond = np.zeros((2, 120, 120), dtype=bool)
+    before_the_rim[4:116, 4:116] = True
+    beyond[4:, 4:116] = True
+    assert Cells.of(volume, before_the_rim, 3).size == 112 * 112
+    assert Cells.of(volume, beyond, 3).size == 104 * 112  # without the last row of cells, of 12 pixels
