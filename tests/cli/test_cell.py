@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -120,3 +121,21 @@ def test_a_library_far_from_a_turn_is_said_to_be() -> None:
     assert coverage_warning(4.2) == []
     (said,) = coverage_warning(0.4)
     assert "0.4 rad" in said
+
+
+def test_circles_of_a_hexagonal_lattice_list_their_orders(tmp_path: Path) -> None:
+    """By spectral elements; the first orders leave into the substrate alone."""
+    path = _file(tmp_path, 'shape = "circle"\nlattice = "hexagonal"')
+    path.write_text(path.read_text(encoding="utf-8").replace("[900.0, 350.0]", "[660.0, 572.0]"), encoding="utf-8")
+    size = "--width-nm", "200", "--length-nm", "200", "--target-error", "0.1", "--json"
+    answer = metafab("cell", path, *size)
+    assert answer.code == 0, answer.stderr
+    found = answer.json["diffraction"]
+    assert [each["order"] for each in found["transmitted"]] == [[0, 0]]
+    assert len(found["reflected"]) == 7
+    upwards = next(each for each in found["reflected"] if each["order"] == [0, 2])
+    polar_deg = math.degrees(math.asin(800.0 / (1.46 * 572.0)))
+    assert (upwards["polar_deg"], upwards["azimuth_deg"]) == pytest.approx((polar_deg, 90.0))
+    for polarisation in ("x", "y"):
+        every = found["transmitted"] + found["reflected"]
+        assert sum(each[f"efficiency_{polarisation}"] for each in every) == pytest.approx(1.0, abs=found["error"])

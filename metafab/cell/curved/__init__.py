@@ -5,6 +5,8 @@
 - ``functions``  the functions of the field, their numbers and their values
 - ``layers``     Jones matrices at one polynomial order
 - ``solve``      adaptive order, and the bound on the error
+- ``diffraction``  efficiencies of single orders
+- ``supercell``  layers of unlike pillars in one period
 """
 
 from metafab.cell.curved.layers import zero_order

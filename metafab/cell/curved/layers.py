@@ -13,6 +13,7 @@ h = Y e is carried from face to face of the layers.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -120,10 +121,56 @@ class MeshMatrices:
         return (k_tm, lifted @ (potential / np.sqrt(k_tm))), (k_te, te)
 
 
+def order_efficiencies(cell: PillarCell, order: int, sides: Sequence[Sequence[tuple[int, int]]]) -> FloatArray:
+    """Power of the transmitted, then of the reflected orders over the incident power, for x and y light.
+
+    Args:
+        cell: as of :func:`zero_order`.
+        order: polynomial order, from 2.
+        sides: transmitted and reflected orders (m, n), of the centred cell of two rows in a hexagonal lattice.
+
+    Returns:
+        Shape (n_orders, 2).
+    """
+    length_nm = cell.period_nm[0], cell.period_nm[1] * (2 if cell.is_staggered else 1)
+    powers: list[list[float]] = []
+    with one_thread():
+        for axis, light in enumerate(POLARISATIONS):
+            functions, of, _, fields = _fields(cell, light, order)
+            powers.append([])
+            for field, n, side in zip(fields, (cell.n_out[axis], cell.n_in[axis]), sides, strict=True):
+                for number in side:
+                    k = 2.0 * math.pi * np.divide(number, length_nm)
+                    amplitude = np.zeros(2, dtype=np.complex128)
+                    for each in functions.elements:
+                        (cos_x, cos_y), (sin_x, sin_y) = np.cos(k[:, None] * each.at), np.sin(k[:, None] * each.at)
+                        # The light's component is even about both mirrors, the other one odd.
+                        for of_axis in range(2):
+                            wave = cos_x * cos_y if of_axis == axis else -sin_x * sin_y
+                            amplitude[of_axis] += field[each.place] @ (each.e[of_axis] @ (each.weight * wave))
+                    amplitude /= of.area_nm2
+                    k_z = math.sqrt((complex(n).real * cell.k0_per_nm) ** 2 - float(k @ k))
+                    power = k_z * np.vdot(amplitude, amplitude).real + abs(k @ amplitude) ** 2 / k_z
+                    powers[-1].append(float(power) / (cell.k0_per_nm * complex(cell.n_in[axis]).real))
+    return np.array(powers).T
+
+
 def _solved(cell: PillarCell, light: Polarisation, order: int) -> tuple[complex, complex, tuple[float, float], int]:
     """t, r, transmitted and reflected power over the incident power, and the number of functions."""
+    _, of, (uniform, near, far), (last, back) = _fields(cell, light, order)
+    sent = complex(cell.n_in[POLARISATIONS.index(light)]).real * of.area_nm2
+    powers = tuple(float(np.vdot(e, admittance @ e).real) / sent for e, admittance in ((last, far), (back, near)))
+    mean = uniform / of.area_nm2
+    return complex(mean @ last), complex(mean @ back), (powers[0], powers[1]), len(mean)
+
+
+def _fields(
+    cell: PillarCell, light: Polarisation, order: int
+) -> tuple[Functions, MeshMatrices, tuple[FloatArray, ComplexArray, ComplexArray], tuple[ComplexArray, ComplexArray]]:
+    """Functions and matrices; uniform field and admittances of both half spaces; transmitted and reflected E."""
     axis, k0 = POLARISATIONS.index(light), cell.k0_per_nm
-    of = MeshMatrices.of(functions_of(quarter_mesh(cell), light, order), [axis])
+    functions = functions_of(quarter_mesh(cell), light, order)
+    of = MeshMatrices.of(functions, [axis])
     waves = of.waves()
     n_in, n_out = complex(cell.n_in[axis]), complex(cell.n_out[axis])
     near, far = (_admittance(waves, permittivity(n), k0) for n in (n_in, n_out))
@@ -143,11 +190,7 @@ def _solved(cell: PillarCell, light: Polarisation, order: int) -> tuple[complex,
     last = first
     for through in reversed(faces):
         last = through @ last
-    back = first - of.inverse @ uniform
-    sent = n_in.real * of.area_nm2
-    powers = tuple(float(np.vdot(e, admittance @ e).real) / sent for e, admittance in ((last, far), (back, near)))
-    mean = uniform / of.area_nm2
-    return complex(mean @ last), complex(mean @ back), (powers[0], powers[1]), len(mean)
+    return functions, of, (uniform, near, far), (last, first - of.inverse @ uniform)
 
 
 def _admittance(

@@ -34,7 +34,8 @@ Efficiencies = dict[Order, FloatArray]
 class DiffractedOrder:
     """One order that leaves on one side."""
 
-    #: (m, n): its wave vector in the plane is that of the incident light plus (m / period_x, n / period_y) turns.
+    #: (m, n): its wave vector in the plane is that of the incident light plus (m / period_x, n / period_y) turns; in a
+    #: hexagonal lattice, that of the centred cell of two rows: period_y is then two row distances.
     order: Order
     #: Angle from the axis in the medium that the order leaves into; by the index along x if it has several.
     polar_deg: float
@@ -52,7 +53,7 @@ class Diffraction:
     reflected: tuple[DiffractedOrder, ...]  #: Reflected orders, likewise.
     error: float  #: Estimate of the largest error of any efficiency.
     converged: bool  #: Whether ``error`` is at most the target.
-    truncation: int  #: Cosines along each axis.
+    truncation: int  #: Cosines along each axis, or polynomial order of spectral elements.
 
 
 def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Diffraction:  # noqa: B008 (frozen)
@@ -76,8 +77,8 @@ def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Di
         if error <= numerics.target_error:
             break
     count = len(sides[0])
-    transmitted = _diffracted(cell, sides[0], cell.n_out[0], solved[orders][:count])
-    reflected = _diffracted(cell, sides[1], cell.n_in[0], solved[orders][count:])
+    transmitted = diffracted(cell, sides[0], cell.n_out[0], solved[orders][:count])
+    reflected = diffracted(cell, sides[1], cell.n_in[0], solved[orders][count:])
     return Diffraction(transmitted, reflected, error, error <= numerics.target_error, orders)
 
 
@@ -140,10 +141,10 @@ def _orders(axis: AxisParity, labels: IntArray) -> list[tuple[int, ...]]:
     return [(int(label), -int(label)) if label else (0,) for label in labels]
 
 
-def _diffracted(
+def diffracted(
     cell: PillarCell, side: Sequence[Order], index: complex, efficiency: FloatArray
 ) -> tuple[DiffractedOrder, ...]:
-    """Orders of one side from their efficiencies, shape (n_orders, 2)."""
+    """Return the orders of one side, which leave into a medium of ``index``, with efficiencies (n_orders, 2)."""
     return tuple(
         DiffractedOrder(order, *_direction(cell, order, index), float(of_x), float(of_y))
         for order, (of_x, of_y) in zip(side, efficiency, strict=True)
@@ -154,6 +155,7 @@ def _direction(cell: PillarCell, order: Order, index: complex) -> tuple[float, f
     """Polar angle and azimuth of an order in a medium of ``index``, degrees."""
     start_x, start_y = in_plane_per_nm(cell)
     k_x = start_x + 2.0 * math.pi * order[0] / cell.period_nm[0]
-    k_y = start_y + 2.0 * math.pi * order[1] / cell.period_nm[1]
+    length_y = cell.period_nm[1] * (2 if cell.is_staggered else 1)
+    k_y = start_y + 2.0 * math.pi * order[1] / length_y
     across = math.hypot(k_x, k_y) * cell.wavelength_nm / (2.0 * math.pi * complex(index).real)
     return math.degrees(math.asin(min(across, 1.0))), math.degrees(math.atan2(k_y, k_x)) if across else 0.0

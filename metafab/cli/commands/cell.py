@@ -55,6 +55,7 @@ def cell_command(
     """Solve one unit cell and print its transmission and reflection."""
     from metafab import cell
     from metafab.cell import rcwa
+    from metafab.cell.curved.diffraction import diffraction as curved_diffraction
     from metafab.spec import load_unit_cell
 
     spec = load_unit_cell(unit_cell)
@@ -66,9 +67,9 @@ def cell_command(
     numerics = cell.CellNumerics(target_error=target_error or spec.sweep.target_error, solver=name)
     answer = cell.solve(problem, numerics)
     is_fdtd = name == "meep"
-    # Single orders are RCWA's, which has no rings, and no ellipses of a hexagonal lattice.
+    # RCWA has no rings, and no ellipses of a hexagonal lattice.
     by_elements_alone = problem.shape == "ring" or (problem.is_staggered and problem.is_shaped)
-    has_orders = not is_fdtd and rcwa.diffracts(problem) and not by_elements_alone
+    diffraction = curved_diffraction if by_elements_alone else rcwa.diffraction
     (t_xx, t_xy), (t_yx, t_yy) = answer.t
     figures = CellFigures(
         t_xx=complex(t_xx),
@@ -87,7 +88,7 @@ def cell_command(
         details=answer.details,
         orders=None if is_fdtd else answer.resolution,
         resolution=answer.resolution if is_fdtd else None,
-        diffraction=rcwa.diffraction(problem, numerics) if has_orders else None,
+        diffraction=diffraction(problem, numerics) if rcwa.diffracts(problem) and not is_fdtd else None,
     )
     show(figures, json_)
 
