@@ -190,7 +190,8 @@ def _fields(
     last = first
     for through in reversed(faces):
         last = through @ last
-    return functions, of, (uniform, near, far), (last, first - of.inverse @ uniform)
+    transmitted, reflected = (np.asarray(e, np.complex128) for e in (last, first - of.inverse @ uniform))
+    return functions, of, (uniform, near, far), (transmitted, reflected)
 
 
 def _admittance(
