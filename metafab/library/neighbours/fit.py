@@ -29,6 +29,11 @@ class RowSet:
     weight: FloatArray  #: Shape (orders,), weight of each squared residual.
 
     @property
+    def mirrored(self) -> bool:
+        """Whether each row is its own mirror image: orders m and -m are then equal."""
+        return np.array_equal(self.size_nm, self.size_nm[:, ::-1])
+
+    @property
     def to_orders(self) -> ComplexArray:
         """Matrix from the field of the sites to the amplitudes of the orders, shape (orders, sites)."""
         sites = self.size_nm.shape[1]
@@ -80,11 +85,11 @@ def fit(
     """
     vector = model.vector
     ridge = limits.ridge * _prior(model.shape)
-    terms = [model.polynomials(rows.size_nm) for rows in sets]
+    targets = [_Target.of(rows, model, limits.reflected) for rows in sets]
     damping, losses = 1e-1, []
-    least = _loss(model, sets, terms, ridge, limits.reflected)
+    least = _loss(model, targets, ridge)
     for _ in range(limits.steps):
-        normal, gradient = _normal_equations(model, sets, terms, limits.reflected)
+        normal, gradient = _normal_equations(model, targets)
         gradient = gradient + ridge * vector
         normal[np.diag_indices(vector.size)] += ridge
         scale = np.diag(normal).real.copy()
@@ -92,7 +97,7 @@ def fit(
             damped = normal.copy(order="K")
             damped[np.diag_indices(vector.size)] += damping * scale
             trial = vector - cho_solve(cho_factor(damped, overwrite_a=True), gradient)
-            trial_loss = _loss(model.with_vector(trial), sets, terms, ridge, limits.reflected)
+            trial_loss = _loss(model.with_vector(trial), targets, ridge)
             if trial_loss < least:
                 break
             damping *= 4.0
@@ -109,8 +114,44 @@ def fit(
 
 def loss(model: LineModel, sets: Sequence[RowSet], limits: FitLimits) -> float:
     """The quantity that :func:`fit` makes small: weighted squared residuals, relative to the light, plus the prior."""
-    terms = [model.polynomials(rows.size_nm) for rows in sets]
-    return _loss(model, sets, terms, limits.ridge * _prior(model.shape), limits.reflected)
+    targets = [_Target.of(rows, model, limits.reflected) for rows in sets]
+    return _loss(model, targets, limits.ridge * _prior(model.shape))
+
+
+@dataclass(frozen=True)
+class _Target:
+    """Weighted amplitudes of solved rows; of rows that are their own mirror images the first half and orders >= 0."""
+
+    terms: FloatArray  #: Shape (rows, sites, terms), polynomial values of the sizes.
+    mirrored: bool  #: Whether the rows are their own mirror images.
+    local: ComplexArray  #: Shape (faces, rows, half), the library's r and t, or t alone.
+    to_orders: ComplexArray  #: Shape (faces, orders, half), from the field of the sites to weighted amplitudes.
+    amplitude: ComplexArray  #: Shape (faces, rows, orders), weighted amplitudes.
+
+    @classmethod
+    def of(cls, rows: RowSet, model: LineModel, reflected: float) -> _Target:
+        sites, mirrored = rows.size_nm.shape[1], rows.mirrored
+        half = (sites + 1) // 2 if mirrored else sites
+        # Of mirrored rows the orders m and -m are equal, and so is the light of a site and of its image.
+        weight, kept, to_orders = rows.weight, rows.order >= -np.inf, rows.to_orders
+        if mirrored:
+            weight, kept = np.where(rows.order > 0, weight + weight[::-1], weight), rows.order >= 0
+            to_orders[:, : sites - half] += to_orders[:, : half - 1 : -1]
+        # Reflected light without weight needs no derivatives.
+        faces = slice(0 if reflected > 0.0 else 1, 2)
+        power = np.mean(np.sum(np.abs(rows.amplitude) ** 2, axis=-1), axis=1)
+        scale = np.sqrt(weight * (np.array([reflected, 1.0]) / power)[:, None])[faces, kept]
+        return cls(
+            model.polynomials(rows.size_nm),
+            mirrored,
+            rows.local[faces, :, :half],
+            scale[..., None] * to_orders[kept, :half],
+            scale[:, None] * rows.amplitude[faces][..., kept],
+        )
+
+    def residuals(self, field: ComplexArray, part: slice = slice(None)) -> ComplexArray:
+        """Weighted residuals of some rows with corrections ``field``; shape (faces, rows, half) to (..., orders)."""
+        return (self.local[:, part] + field) @ self.to_orders.swapaxes(-1, -2) - self.amplitude[:, part]
 
 
 def _prior(shape: LineShape) -> FloatArray:
@@ -122,29 +163,15 @@ def _prior(shape: LineShape) -> FloatArray:
     return np.concatenate([*parts, np.ones(shape.hop_pairs[0].size)])
 
 
-def _weights(rows: RowSet, reflected: float) -> FloatArray:
-    """Factors of the residuals of reflected and transmitted orders over the rms light of a row, shape (2, orders)."""
-    power = np.mean(np.sum(np.abs(rows.amplitude) ** 2, axis=-1), axis=1)
-    return np.asarray(np.sqrt(rows.weight * (np.array([reflected, 1.0]) / power)[:, None]))
-
-
-def _loss(
-    model: LineModel,
-    sets: Sequence[RowSet],
-    terms: Sequence[FloatArray],
-    ridge: FloatArray,
-    reflected: float,
-) -> float:
+def _loss(model: LineModel, targets: Sequence[_Target], ridge: FloatArray) -> float:
     total = float(ridge @ np.abs(model.vector) ** 2)
-    for rows, values in zip(sets, terms, strict=True):
-        off = (rows.local + scattered_corrections(model, values)) @ rows.to_orders.T - rows.amplitude
-        total += float(np.sum(np.abs(off * _weights(rows, reflected)[:, None]) ** 2))
+    for target in targets:
+        field = scattered_corrections(model, target.terms, target.mirrored)[-len(target.local) :]
+        total += float(np.sum(np.abs(target.residuals(field)) ** 2))
     return total if np.isfinite(total) else np.inf
 
 
-def _normal_equations(
-    model: LineModel, sets: Sequence[RowSet], terms: Sequence[FloatArray], reflected: float
-) -> tuple[ComplexArray, ComplexArray]:
+def _normal_equations(model: LineModel, targets: Sequence[_Target]) -> tuple[ComplexArray, ComplexArray]:
     """J^H J, shape (n, n), and J^H r, shape (n,), of the weighted residuals r of all rows.
 
     Only the upper triangle of J^H J is filled.
@@ -152,17 +179,12 @@ def _normal_equations(
     n = model.vector.size
     conjugate = np.zeros((n, n), dtype=np.complex128, order="F")
     gradient = np.zeros(n, dtype=np.complex128)
-    # Reflected light without weight needs no derivatives.
-    faces = (0, 1) if reflected > 0.0 else (1,)
-    for rows, values in zip(sets, terms, strict=True):
-        weights = _weights(rows, reflected)[list(faces)]
-        to_orders = rows.to_orders * weights[..., None]
-        for start in range(0, len(values), _ROWS_AT_ONCE):
+    for target in targets:
+        faces = (0, 1)[-len(target.local) :]
+        for start in range(0, len(target.terms), _ROWS_AT_ONCE):
             part = slice(start, start + _ROWS_AT_ONCE)
-            correction, jacobian = corrections_and_jacobian(model, values[part], faces)
-            jacobian = (to_orders[:, None] @ jacobian).reshape(-1, n)
-            local, solved = (both[list(faces), part] for both in (rows.local, rows.amplitude))
-            off = (local + correction) @ rows.to_orders.T - solved
+            field, jacobian = corrections_and_jacobian(model, target.terms[part], faces, target.mirrored)
+            jacobian = (target.to_orders[:, None] @ jacobian).reshape(-1, n)
             conjugate = zherk(1.0, jacobian.T, beta=1.0, c=conjugate, overwrite_c=True)
-            gradient += (off * weights[:, None]).ravel() @ jacobian.conj()
+            gradient += target.residuals(field, part).ravel() @ jacobian.conj()
     return conjugate.conj(), gradient

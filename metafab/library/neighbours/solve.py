@@ -32,63 +32,103 @@ def uniform_slopes(model: LineModel, terms: FloatArray, d_terms: FloatArray) -> 
 
 
 def line_corrections(model: LineModel, terms: FloatArray) -> ComplexArray:
-    """t_m - t(s_m) of closed lines: :func:`scattered_corrections` of the transmitted light, shape (..., n)."""
+    """t_m - t(s_m) of closed lines: :func:`scattered_corrections` of the transmitted light, shape (lines, n)."""
     return np.asarray(scattered_corrections(model, terms)[1])
 
 
-def scattered_corrections(model: LineModel, terms: FloatArray) -> ComplexArray:
-    """r_m - r(s_m) and t_m - t(s_m) of closed lines, shape (2, ..., n).
+def scattered_corrections(model: LineModel, terms: FloatArray, mirrored: bool = False) -> ComplexArray:
+    """r_m - r(s_m) and t_m - t(s_m) of closed lines, shape (2, lines, n).
 
-    ``terms`` holds polynomial values of each site, shape (..., n, terms).
+    Args:
+        model: the chain.
+        terms: polynomial values of each site, shape (lines, n, terms).
+        mirrored: whether each line is its own mirror image; the first (n + 1) // 2 sites are returned then.
     """
-    count, modes, even = terms.shape[-2], model.shape.modes, model.shape.even
-    source = np.zeros((*terms.shape[:-1], modes), dtype=np.complex128)
-    source[..., :even] = terms @ model.source
-    flat = source.reshape(*terms.shape[:-2], count * modes, 1)
-    a = np.linalg.solve(model.periodic_matrix(terms), flat).reshape(source.shape)
+    before, after = _next_sites(terms, mirrored)
+    matrix, source = _half_line(model, terms, before.size)
+    a = _unfolded(np.linalg.solve(matrix, source), model, terms)
     fields = []
     for own, of_side in _faces(model):
         side = (terms @ of_side) * a
-        y = np.sum((terms @ own) * a[..., :even], axis=-1) + np.roll(side.sum(axis=-1), 1, axis=-1)
-        fields.append(y + np.roll((side * model.shape.parity).sum(axis=-1), -1, axis=-1))
-    amplitude, _, taps = _uniform_amplitude(model, terms)
+        y = np.sum((terms @ own) * a[..., : model.shape.even], axis=-1)[:, : before.size]
+        fields.append(y + side.sum(axis=-1)[:, before] + (side * model.shape.parity).sum(axis=-1)[:, after])
+    amplitude, _, taps = _uniform_amplitude(model, terms[:, : before.size])
     return np.asarray(np.stack(fields) - np.sum(taps * amplitude, axis=-1))
 
 
 def corrections_and_jacobian(
-    model: LineModel, terms: FloatArray, faces: tuple[int, ...] = (0, 1)
+    model: LineModel, terms: FloatArray, faces: tuple[int, ...] = (0, 1), mirrored: bool = False
 ) -> tuple[ComplexArray, ComplexArray]:
     """:func:`scattered_corrections` and their derivatives by :attr:`LineModel.vector`, of n parameters.
 
     ``terms``: shape (lines, sites, terms). ``faces``: 0 for reflected and 1 for transmitted light. Shapes
-    (faces, lines, sites) and (faces, lines, sites, n).
+    (faces, lines, sites) and (faces, lines, sites, n), of the first half of the sites with ``mirrored``.
     """
-    lines, count, _ = terms.shape
     modes, even, parity = model.shape.modes, model.shape.even, model.shape.parity
-    source = np.zeros((lines, count, modes), dtype=np.complex128)
-    source[..., :even] = terms @ model.source
-    site = np.arange(count)
-    before, after = (site - 1) % count, (site + 1) % count
-    inverse = np.linalg.inv(model.periodic_matrix(terms))
-    a = (inverse @ source.reshape(lines, -1, 1)).reshape(lines, count, modes)
+    before, after = _next_sites(terms, mirrored)
+    lines, half = len(terms), before.size
+    matrix, source = _half_line(model, terms, half)
+    inverse = np.linalg.inv(matrix)
+    a = _unfolded(inverse @ source, model, terms)
     flow = terms[..., :, None] * a[..., None, :]
-    by_own, by_side = flow[..., :even], flow[:, before] + flow[:, after] * parity
+    by_own, by_side = flow[:, :half, :, :even], flow[:, before] + flow[:, after] * parity
+    site = np.arange(half)
     fields, jacobians = [], []
     for face in faces:
         own, of_side = _faces(model)[face]
-        taps = np.zeros((lines, count, count, modes), dtype=np.complex128)
-        taps[:, site, site, :even] += terms @ own
+        taps = np.zeros((lines, half, terms.shape[1], modes), dtype=np.complex128)
+        taps[:, site, site, :even] += terms[:, :half] @ own
         side = terms @ of_side
-        for m in range(count):
+        for m in range(half):
             taps[:, m, before[m]] += side[:, before[m]]
             taps[:, m, after[m]] += side[:, after[m]] * parity
-        fields.append((taps.reshape(lines, count, -1) @ a.reshape(lines, -1, 1))[..., 0])
-        adjoint = (taps.reshape(lines, count, -1) @ inverse).reshape(lines, count, count, modes)
-        by_source = np.asarray(adjoint[..., :even].transpose(0, 1, 3, 2) @ terms[:, None], dtype=np.complex128)
-        ends = _site_derivatives(model, terms, a, adjoint), _hop_derivatives(model, a, adjoint)
+        outputs = _folded(taps, half, parity).reshape(lines, half, -1)
+        fields.append(np.asarray(taps.reshape(lines, half, -1) @ a.reshape(lines, -1, 1))[..., 0])
+        adjoint = (outputs @ inverse).reshape(lines, half, half, modes)
+        by_source = adjoint[..., :even].transpose(0, 1, 3, 2) @ terms[:, None, :half].astype(np.complex128)
+        ends = (
+            _site_derivatives(model, terms[:, :half], a[:, :half], adjoint),
+            _hop_derivatives(model, (a[:, before], a[:, after]), adjoint),
+        )
         jacobians.append(_gathered(face, ends, by_own, by_side, by_source.swapaxes(-1, -2)))
-    uniform, d_uniform = _uniform_jacobian(model, terms, faces)
+    uniform, d_uniform = _uniform_jacobian(model, terms[:, :half], faces)
     return np.stack(fields) - uniform, np.stack(jacobians) - d_uniform
+
+
+def _next_sites(terms: FloatArray, mirrored: bool) -> tuple[IntArray, IntArray]:
+    """Numbers of the sites before and after each site, shape (n,); of the first (n + 1) // 2 with ``mirrored``."""
+    count = terms.shape[1]
+    site = np.arange((count + 1) // 2 if mirrored else count)
+    return (site - 1) % count, (site + 1) % count
+
+
+def _half_line(model: LineModel, terms: FloatArray, half: int) -> tuple[ComplexArray, ComplexArray]:
+    """Matrix and source of the first ``half`` sites: the others are their mirror images.
+
+    Shapes (lines, half modes, half modes) and (lines, half modes, 1).
+    """
+    lines, count, _ = terms.shape
+    modes = model.shape.modes
+    matrix = model.periodic_matrix(terms).reshape(lines, count, modes, count, modes)[:, :half]
+    source = np.zeros((lines, half, modes), dtype=np.complex128)
+    source[..., : model.shape.even] = terms[:, :half] @ model.source
+    folded = _folded(matrix, half, model.shape.parity)
+    return folded.reshape(lines, half * modes, half * modes), source.reshape(lines, -1, 1)
+
+
+def _folded(values: ComplexArray, half: int, parity: FloatArray | float) -> ComplexArray:
+    """Values of the first ``half`` sites plus those of their mirror images, shape (..., n, modes)."""
+    folded = values[..., :half, :].copy()
+    folded[..., : values.shape[-2] - half, :] += values[..., : half - 1 : -1, :] * parity
+    return folded
+
+
+def _unfolded(amplitude: ComplexArray, model: LineModel, terms: FloatArray) -> ComplexArray:
+    """Amplitudes of all sites, shape (lines, n, modes), from those of the first half."""
+    lines, count, _ = terms.shape
+    first = amplitude.reshape(lines, -1, model.shape.modes)
+    images = first[:, : count - first.shape[1]][:, ::-1] * model.shape.parity
+    return np.concatenate([first, images], axis=1)
 
 
 def _faces(model: LineModel) -> tuple[tuple[ComplexArray, ComplexArray], ...]:
@@ -174,11 +214,16 @@ def _site_derivatives(model: LineModel, terms: FloatArray, a: ComplexArray, adjo
     return np.ascontiguousarray(d_site.transpose(1, 2, 3, 0))
 
 
-def _hop_derivatives(model: LineModel, a: ComplexArray, adjoint: ComplexArray) -> ComplexArray:
-    """Derivatives of y by the free elements of the hop, shape (lines, sites, pairs)."""
+def _hop_derivatives(
+    model: LineModel, next_to: tuple[ComplexArray, ComplexArray], adjoint: ComplexArray
+) -> ComplexArray:
+    """Derivatives of y by the free elements of the hop, shape (lines, sites, pairs).
+
+    ``next_to`` holds the amplitudes of the sites before and after each site.
+    """
     r, s, sign = model.shape.hop_pairs
     # W[r, s] and sign W[s, r], of a_{m-1}; and of a_{m+1} with W^T.
     by_mode = adjoint.transpose(0, 1, 3, 2)
-    left, right = (by_mode @ np.roll(a, shift, axis=1)[:, None] for shift in (1, -1))
+    left, right = by_mode @ next_to[0][:, None], by_mode @ next_to[1][:, None]
     by_element = left + right.swapaxes(-1, -2)
     return np.asarray(by_element[..., r, s] + np.where(r == s, 0.0, sign * by_element[..., s, r]))

@@ -21,7 +21,7 @@ from metafab.core.storage.files import fingerprint
 from metafab.core.storage.provenance import sources_sha256
 from metafab.library.library import Library, inputs_of
 from metafab.library.neighbours.fit import FitLimits, RowSet, fit, loss
-from metafab.library.neighbours.line import LineModel, LineShape, initial_model
+from metafab.library.neighbours.line import LineModel, LineShape, grown, initial_model
 from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
 from metafab.library.neighbours.rows import RESOLUTION, ROW_KINDS, RowSampler, is_steady, kind_of, solve_rows
 from metafab.library.neighbours.solve import line_corrections
@@ -51,10 +51,9 @@ _SITES = 7.0
 _HELD_OUT = 6
 #: Part of the light cone beyond which an order is grazing, and the weight of its squared residual in the fit.
 _GRAZING, _GRAZING_WEIGHT = 0.95, 0.3
-#: Fits from different random parameters to every other row, their first steps to transmitted light alone. All go to
-#: their end: of the light across the row, the best one after 25 steps ended at 0.044 on periods of the lens (median),
-#: another at 0.030. The one with the smallest loss on all rows of the fit is then fitted to all of them.
-STARTS, _FIRST_STEPS = 3, 25
+#: Fits from different random parameters. Each begins with two modes less of each parity, on one row in four; another of
+#: each and more rows come with every stage of so many steps. The one with the smallest loss is fitted to its end.
+STARTS, _ONE_ROW_IN, _STAGE_STEPS, _LAST_STEPS = 4, (4, 2, 1), 25, 120
 #: Stated errors over the smallest that hold on all held-out rows: a margin for rows yet unseen.
 _MARGIN = 1.15
 #: Error of a row of equal pillars, before that margin.
@@ -114,12 +113,13 @@ def train(
     """
     if library.unit_cell.neighbours is None:
         raise ValueError("the unit cell has no table `neighbours`")
-    samplers, rows = _samplers(library), library.unit_cell.neighbours.rows
+    samplers, asked = _samplers(library), library.unit_cell.neighbours
     with Checkpoint(checkpoint, inputs_of_rows(library)) as record:
-        solved = solve_rows(samplers, rows, record, executor or SerialExecutor(), progress)
+        solved = solve_rows(samplers, asked.rows, record, executor or SerialExecutor(), progress)
     # One thread here as in worker processes: of threads in this one, the first to end a fit would free the others'.
     with threadpool_limits(1):
-        lines = _fitted_lines([_Plan.of(*both) for both in zip(samplers, solved, strict=True)], executor, progress)
+        plans = [_Plan.of(*both, asked.more_modes) for both in zip(samplers, solved, strict=True)]
+        lines = _fitted_lines(plans, executor, progress)
     along = [line for line, sampler in zip(lines, samplers, strict=True) if sampler.polarisation == "x"]
     across = [line for line, sampler in zip(lines, samplers, strict=True) if sampler.polarisation == "y"]
     inputs = inputs_of_training(library.unit_cell)
@@ -149,34 +149,38 @@ class _Plan:
 
     sampler: RowSampler
     answers: dict[int, tuple[complex, ...]]  #: Solved amplitudes by number of the row.
-    first: list[RowSet]  #: Rows that the starts are fitted to.
-    fitted: list[RowSet]  #: Rows that the best one is fitted to.
+    stages: list[list[RowSet]]  #: Rows that each stage of a start is fitted to; those of the last are all of the fit.
     held: list[int]  #: Numbers of the rows that are held out.
+    more_modes: int  #: Modes of each parity beyond :data:`SHAPES`.
 
     @classmethod
-    def of(cls, sampler: RowSampler, answers: dict[int, tuple[complex, ...]]) -> _Plan:
+    def of(cls, sampler: RowSampler, answers: dict[int, tuple[complex, ...]], more_modes: int) -> _Plan:
         held = [number for number in sorted(answers) if _is_held_out(number)]
         to_fit = [number for number in sorted(answers) if not _is_held_out(number)]
-        first = [number for number in to_fit if number // (2 * len(ROW_KINDS)) % 2 == 0]
-        return cls(
-            sampler, answers, _weighted_sets(sampler, answers, first), _weighted_sets(sampler, answers, to_fit), held
-        )
+        turn = [number // (2 * len(ROW_KINDS)) for number in to_fit]
+        parts = [[n for n, k in zip(to_fit, turn, strict=True) if k % each == 0] for each in _ONE_ROW_IN]
+        stages = [_weighted_sets(sampler, answers, part) for part in parts]
+        return cls(sampler, answers, stages + more_modes * stages[-1:], held, more_modes)
 
-    @property
-    def limits(self) -> FitLimits:
-        """Limits of the fits."""
-        return FitLimits(reflected=_REFLECTED[POLARISATIONS.index(self.sampler.polarisation)])
+    def limits(self, steps: int) -> FitLimits:
+        """Limits of a fit."""
+        return FitLimits(steps, reflected=_REFLECTED[POLARISATIONS.index(self.sampler.polarisation)])
 
     def start(self, seed: int) -> LineModel:
-        """Fit from random parameters to the first rows."""
-        spans = [(float(axis.min()), float(axis.max())) for axis in self.sampler.size_nm.T]
-        random = initial_model(SHAPES[POLARISATIONS.index(self.sampler.polarisation)], spans[0], spans[1], seed)
-        return fit(fit(random, self.first, FitLimits(_FIRST_STEPS, reflected=0.0)), self.first, self.limits)
+        """Fit from random parameters, in stages of more modes and more rows."""
+        along, across = ((float(axis.min()), float(axis.max())) for axis in self.sampler.size_nm.T)
+        shape = SHAPES[POLARISATIONS.index(self.sampler.polarisation)]
+        fewest = self.more_modes + 1 - len(self.stages)
+        model = initial_model(shape.with_more(fewest), along, across, seed)
+        for stage, sets in enumerate(self.stages):
+            model = grown(model, shape.with_more(fewest + stage), seed + STARTS * stage)
+            model = fit(model, sets, self.limits(_STAGE_STEPS))
+        return model
 
     def finish(self, starts: Sequence[LineModel]) -> TrainedLine:
-        """Fit the start with the smallest loss to all rows, and measure it on those that are held out."""
-        best = min(starts, key=lambda model: loss(model, self.fitted, self.limits))
-        model = fit(best, self.fitted, self.limits)
+        """Fit the start with the smallest loss to its end, and measure it on the rows that are held out."""
+        best = min(starts, key=lambda model: loss(model, self.stages[-1], self.limits(0)))
+        model = fit(best, self.stages[-1], self.limits(_LAST_STEPS))
         return TrainedLine(model, _measured(self, model))
 
 
@@ -255,7 +259,7 @@ def _orders(supercell: Supercell, light: Polarisation) -> tuple[FloatArray, Floa
 
 
 def _measured(plan: _Plan, model: LineModel) -> LineStatistics:
-    sampler, answers, held, fitted = plan.sampler, plan.answers, plan.held, plan.fitted
+    sampler, answers, held, fitted = plan.sampler, plan.answers, plan.held, plan.stages[-1]
     alike = _row_sets(sampler, answers, [number for number in held if is_steady(number)])
     unlike = _row_sets(sampler, answers, [number for number in held if not is_steady(number)])
     errors_alike, errors_unlike = ([rows.errors(model) for rows in sets] for sets in (alike, unlike))

@@ -52,7 +52,7 @@ def test_long_lines_end_in_closed_ones() -> None:
     rng = np.random.default_rng(2)
     model = initial_model(LineShape(4, 2, 3), SPAN, SPAN, 1)
     period = rng.uniform(*SPAN, (6, 2))
-    closed = line_corrections(model, model.polynomials(period))
+    closed = line_corrections(model, model.polynomials(period[None]))[0]
     tables = SizeTables.of(model, np.concatenate([[[0.0, 0.0]], period]))
     line = np.tile(np.arange(1, 7, dtype=np.uint16), 15)[None]
     middle = open_line_corrections(tables, line)[0, 42:48]

@@ -37,6 +37,20 @@ def test_jacobian_is_that_of_differences(shape: LineShape, sites: int) -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("sites", [1, 2, 5, 6])
+def test_half_of_a_mirrored_line_has_the_field_of_the_whole(shape: LineShape, sites: int) -> None:
+    model, terms = _lines(shape, (sites + 1) // 2)
+    terms = np.concatenate([terms, terms[:, ::-1][:, sites % 2 :]], axis=1)
+    half = (sites + 1) // 2
+    for folded, whole in zip(
+        corrections_and_jacobian(model, terms, mirrored=True), corrections_and_jacobian(model, terms), strict=True
+    ):
+        assert np.abs(folded - whole[:, :, :half]).max() < 1e-12 * np.abs(whole).max() + 1e-14
+    whole = scattered_corrections(model, terms)
+    assert np.abs(scattered_corrections(model, terms, mirrored=True) - whole[..., :half]).max() < 1e-14
+
+
+@pytest.mark.parametrize("shape", SHAPES)
 def test_equal_pillars_are_exact(shape: LineShape) -> None:
     model, terms = _lines(shape, 5)
     equal = np.repeat(terms[:, :1], 5, axis=1)

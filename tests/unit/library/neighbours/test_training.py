@@ -102,21 +102,32 @@ def test_the_best_start_is_fitted_to_all_rows(
     monkeypatch.setattr(training, "STARTS", 2)
     monkeypatch.setattr(training, "fit", recorded)
     lines = training.train(asked, checkpoint=solved_rows).lines
-    # Two fits for each of two starts of two chains, and the last one of each chain.
-    assert len(fits) == 2 * 4 + 2
+    # Three stages for each of two starts of two chains, and the last fit of each chain.
+    assert len(fits) == 3 * 4 + 2
     for number, line in enumerate(lines):
-        begun, sets, limits, end = fits[8 + number]
-        starts = [fits[4 * number + 1], fits[4 * number + 3]]
-        assert [sum(len(fitted.size_nm) for fitted in each) for each in (sets, starts[0][1])] == [50, 25]
-        first, second = (loss(start[-1], sets, limits) for start in starts)
+        begun, sets, limits, end = fits[12 + number]
+        starts = fits[6 * number : 6 * number + 3], fits[6 * number + 3 : 6 * number + 6]
+        for start in starts:
+            assert [sum(len(fitted.size_nm) for fitted in each[1]) for each in start] == [13, 25, 50]
+            assert [(each[0].shape.even, each[0].shape.odd) for each in start] == [(1, 0), (1, 0), (2, 1)]
+        first, second = (loss(start[-1][-1], sets, limits) for start in starts)
         assert first != second
-        assert begun is starts[int(second < first)][-1]
+        assert begun is starts[int(second < first)][-1][-1]
         assert line.model is end
         # The strongest order of each row with steady phases counts most.
         steady = [fitted for fitted in sets if np.ptp(fitted.weight) > fitted.weight.min()]
         assert sum(len(fitted.size_nm) for fitted in steady) == 25
         for fitted in steady:
             assert np.all(np.argmax(np.abs(fitted.amplitude[1]), axis=1) == np.argmax(fitted.weight))
+
+
+@pytest.mark.usefixtures("coarse")
+def test_more_modes_come_in_a_stage_of_their_own(trained: Library, asked: Library, solved_rows: Path) -> None:
+    cell = replace(asked.unit_cell, neighbours=Training(rows=60, more_modes=1))
+    lines = training.train(replace(asked, unit_cell=cell), checkpoint=solved_rows).lines
+    for line, fewer in zip(lines, require_neighbours(trained).lines, strict=True):
+        assert line.model.shape == LineShape(3, 2, 1)
+        assert line.statistics.error_fitted < fewer.statistics.error_fitted
 
 
 @pytest.mark.usefixtures("coarse")
