@@ -46,7 +46,7 @@ def scattered_corrections(model: LineModel, terms: FloatArray, mirrored: bool = 
     """
     before, after = _next_sites(terms, mirrored)
     matrix, source = _half_line(model, terms, before.size)
-    a = _unfolded(np.linalg.solve(matrix, source), model, terms)
+    a = _unfolded(np.asarray(np.linalg.solve(matrix, source), dtype=np.complex128), model, terms)
     fields = []
     for own, of_side in _faces(model):
         side = (terms @ of_side) * a
