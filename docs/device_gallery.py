@@ -64,7 +64,7 @@ def sentence(summary: dict[str, Any]) -> str:
     return (
         f"{layout['pillars']:,} pillars of {layout['distinct_sizes']:,} sizes, {broken} rules broken; {share:.0%} of "
         f"the light at the aperture passes a pinhole of {pinhole_um:.0f} µm around the image point, and the peak is "
-        f"{merit['strehl_x'][0]:.0%} of the perfect phase's."
+        f"{merit['relative_peak_x'][0]:.0%} of the perfect phase's."
     )
 
 

@@ -79,9 +79,9 @@ app.add_typer(library_app, name=library_app.prefix)
 
 def _show_version(wanted: bool) -> None:
     if wanted:
-        from importlib.metadata import version
+        from metafab import __version__
 
-        print(f"metafab {version('metafab')}")
+        print(f"metafab {__version__}")
         raise typer.Exit
 
 

@@ -82,8 +82,9 @@ def coverage_warning(coverage_rad: float) -> list[str]:
     """Return a warning if the sizes of a library cover much less than one turn of phase."""
     if coverage_rad >= 0.6 * 2.0 * math.pi:
         return []
-    text = f"the library reaches {coverage_rad:.3g} rad of phase, far less than a turn (6.28 rad)"
-    return [f"{text}: are height, sizes and wavelength as they should be?"]
+    sizes = "the sizes that transmit at least half of the light"
+    text = f"{sizes} reach {coverage_rad:.3g} rad of phase" if coverage_rad else f"no size is among {sizes}"
+    return [f"{text}; a turn is 6.28 rad: are height, sizes and wavelength as they should be?"]
 
 
 def exit_on_violations(count: int) -> None:

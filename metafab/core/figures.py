@@ -156,10 +156,12 @@ class ToleranceRow:
     peak_ratio: float  #: Smallest peak over the nominal peak.
     efficiency: float  #: Smallest share of the power in the window.
     efficiency_change: float  #: Signed change of that share of the largest modulus.
-    extinction_ratio: float  #: Smallest ratio of wanted over unwanted light in the window of x.
-    turn_deg: float  #: Signed turn of the main lobe of PSF_x of the largest modulus.
-    #: Signed error of the decoded depth of the largest modulus, over finite depths; NaN where the pair does not turn or
-    #: no trial depth agrees.
+    #: Smallest ratio of wanted over unwanted light in the window of x; NaN where one window holds both polarisations.
+    extinction_ratio: float
+    #: Signed turn of the main lobe of PSF_x of the largest modulus; NaN where the lobe lies on the image point.
+    turn_deg: float
+    #: Signed error of the decoded depth of the largest modulus, over finite depths; NaN where the pair does not turn,
+    #: no trial depth agrees, or one window holds both images.
     depth_error_m: float
     #: Error of the changes over the changes, from the corner's amplitudes or the number of draws.
     relative_error: float

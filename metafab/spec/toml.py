@@ -45,7 +45,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         return parse_toml(_text(path), path.parent)
     except FileNotFoundError:
         got, remedy = "no file at that path", "check the path"
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError:
+        got = "a file that is no text in UTF-8"
+        remedy = "give the .toml; a mask (.oas, .gds) goes to `metafab psf` or `metafab drc`, with `--design`"
+    except OSError as error:
         got, remedy = f"an unreadable file ({error})", "is it a text file in UTF-8?"
     except RecursionError:
         got, remedy = "tables or lists that are nested too deeply", "remove the inner ones"

@@ -37,7 +37,7 @@ _FEWEST_SITES = 24
 
 @dataclass(frozen=True)
 class ModulationFigures:
-    """Modulation transfer of the pair and of a standard lens, mean over directions."""
+    """Modulation transfer of the pair, per transmitted power, and of a standard lens, mean over directions."""
 
     frequency_per_mm: FloatArray  #: Shape (n,), spatial frequency on the sensor.
     pair_x: FloatArray  #: Shape (n_depth, n), modulation transfer of PSF_x at each depth.
@@ -81,8 +81,6 @@ class MeritFigures:
     pinhole_efficiency_y: tuple[float, ...]
     ideal_pinhole_efficiency_x: tuple[float, ...]  #: The same for the target phases; likewise y.
     ideal_pinhole_efficiency_y: tuple[float, ...]
-    strehl_x: tuple[float, ...]  #: Peak relative to that of the target phases, for each depth; likewise y.
-    strehl_y: tuple[float, ...]
     #: (x, y) of the main lobe of PSF_x from the image point, for each depth; likewise y.
     main_lobe_x_um: tuple[tuple[float, ...], ...]
     main_lobe_y_um: tuple[tuple[float, ...], ...]
@@ -102,6 +100,10 @@ class MeritFigures:
     fwhm_limit_um: float | None = optional()
     strehl: float | None = optional()
     encircled_energy: float | None = optional()
+    #: Peak over that of the target phases, for each depth, not per transmitted power; likewise y. None where the window
+    #: misses the light: it compares what strays into the window with what strays there from the target phases.
+    relative_peak_x: tuple[float, ...] | None = optional()
+    relative_peak_y: tuple[float, ...] | None = optional()
     focus: FocusFigures | None = optional()  #: The focus of a lens; None for other devices.
     #: Wavefront of a lens at the focus depth, for each polarisation that it focuses; None for other devices and where
     #: too few places transmit for 36 polynomials.
@@ -164,7 +166,7 @@ def recorded_coupling(job: Job) -> CouplingFigures | None:
 def _merit(job: Job) -> MeritFigures:
     from metafab import optics
     from metafab.optics.interpolation import without_depths
-    from metafab.optics.measures import metrics
+    from metafab.optics.measures import landing, metrics
 
     whole, ideal = (optics.load(job.folder / name) for name in ("psf.h5", "ideal_psf.h5"))
     written = without_depths(whole, ~np.isin(whole.depth_m, ideal.depth_m))
@@ -173,13 +175,13 @@ def _merit(job: Job) -> MeritFigures:
     wanted_um = metrics.PINHOLE_UM if job.design.measured is None else job.design.measured.pinhole_um
     pinhole_um = metrics.largest_pinhole_um(written, wanted_um)
     passed, ideal_passed = (metrics.pinhole_efficiency(psf, pinhole_um) for psf in (written, ideal))
-    strehl, lobes = metrics.relative_peak(written, ideal), metrics.main_lobe_um(written)
+    lobes, source = metrics.main_lobe_um(written), lit_source(job, written_light(job, mask_paths(job)[-1]))
+    misses = landing.light_elsewhere(source, imaging, written) is not None
     table = {
         "depth_m": written.depth_m,
         "pinhole_um": pinhole_um,
         **{f"pinhole_efficiency_{p}": passed[i] for i, p in enumerate("xy")},
         **{f"ideal_pinhole_efficiency_{p}": ideal_passed[i] for i, p in enumerate("xy")},
-        **{f"strehl_{p}": strehl[i] for i, p in enumerate("xy")},
         **{f"main_lobe_{p}_um": lobes[i] for i, p in enumerate("xy")},
         "rotation_deg": metrics.rotation_deg(written),
         "ideal_rotation_deg": metrics.rotation_deg(ideal),
@@ -190,6 +192,8 @@ def _merit(job: Job) -> MeritFigures:
         "space_variance": _space_variance(imaging, whole),
         "measured": job.design.measured,
     }
+    if not misses:
+        table |= dict(zip(("relative_peak_x", "relative_peak_y"), metrics.relative_peak(written, ideal), strict=True))
     figures = replace(typed(MeritFigures, table), **_focus(job, imaging))
     write_json(job.folder / "merit.json", figures)
     return figures

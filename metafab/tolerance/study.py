@@ -44,6 +44,8 @@ _MARGIN, _TRIALS = 0.25, 6
 _MEAN_OVER_DRAWS = ("peak_ratio", "efficiency", "efficiency_change", "extinction_ratio")
 _RMS_OVER_DRAWS = ("change", "turn_deg", "depth_error_m")
 _AXIS = (0.0, 0.0)
+#: Shortest distance of a main lobe from the image point, in wavelengths / NA: half of Airy's width at half maximum.
+_ARM = 0.25
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,8 @@ class Light:
     """Irradiance behind one mask."""
 
     pair: FloatArray  #: Shape (2, n_depth, n, n), 1/um^2 per unit power at the aperture.
-    unwanted: FloatArray  #: Shape (n_depth,), power of y polarised light in the window of x.
+    #: Shape (n_depth,), power of y polarised light in the window of x; NaN where one window holds both polarisations.
+    unwanted: FloatArray
     pixel_um: float  #: Sampling step.
 
     @property
@@ -120,7 +123,14 @@ class MaskOptics:
         if self.window.imaging.crystal is not None:
             stray = stray + self.window.light([pupils[0]], 0, _AXIS, self.depths_m, self.numerics, entry=(0, 1))[0]
         pixel_um = self.window.imaging.pixel_um
-        return Light(np.array(pair), stray.sum(axis=(1, 2)) * pixel_um**2, pixel_um)
+        unwanted = stray.sum(axis=(1, 2)) * pixel_um**2 if self.is_pair else np.full(len(self.depths_m), math.nan)
+        return Light(np.array(pair), unwanted, pixel_um)
+
+    @property
+    def is_pair(self) -> bool:
+        """Whether the images of both polarisations lie apart; one window has no extinction and no twins to decode."""
+        points = [self.window.imaging.image_point_um(p, _AXIS) for p in (0, 1)]
+        return abs(points[0][0] - points[1][0]) >= self.window.imaging.pixel_um
 
 
 @dataclass(frozen=True)
@@ -172,15 +182,20 @@ class Reference:
 
     nominal: Light  #: Light at the depths of the table.
     depths_m: tuple[float, ...]  #: Depths of the table.
-    decoder: DepthDecoder  #: Decoder calibrated on the nominal mask.
-    decoded_m: FloatArray  #: Shape (n_depth,), decoded depths of the nominal mask itself.
+    decoder: DepthDecoder | None  #: Decoder calibrated on the nominal mask; None where one window holds both images.
+    decoded_m: FloatArray  #: Shape (n_depth,), decoded depths of the nominal mask itself; NaN without a decoder.
     error: float  #: Relative L2 error of any PSF.
+    smallest_arm_um: float = 0.0  #: A main lobe nearer to the image point than this has no direction.
 
     @classmethod
     def of(cls, optics: MaskOptics, pupils: Sequence[Pupil], error: float) -> Reference:
         """Compute the reference from the blocks of the nominal mask."""
-        nominal, decoder = optics.light(pupils), DepthDecoder.of(optics, pupils)
-        return cls(nominal, optics.depths_m, decoder, decoder.depth_m(nominal.pair), error)
+        nominal = optics.light(pupils)
+        decoder = DepthDecoder.of(optics, pupils) if optics.is_pair else None
+        decoded_m = np.full(len(optics.depths_m), math.nan) if decoder is None else decoder.depth_m(nominal.pair)
+        imaging = optics.window.imaging
+        arm_um = _ARM * imaging.wavelength_um / imaging.numerical_aperture
+        return cls(nominal, optics.depths_m, decoder, decoded_m, error, arm_um)
 
     def row(self, name: str, lights: Sequence[Light], relative_error: float) -> ToleranceRow:
         """Return the row of one mask, or of several draws of a random fault (rms or mean over the draws)."""
@@ -194,7 +209,8 @@ class Reference:
     def _row(self, name: str, light: Light, relative_error: float) -> ToleranceRow:
         before, after = self.nominal, light
         n_depth, finite = len(self.depths_m), np.isfinite(self.depths_m)
-        depth_error_m = self.decoder.depth_m(after.pair) - self.decoded_m
+        depth_error_m = self.decoded_m if self.decoder is None else self.decoder.depth_m(after.pair) - self.decoded_m
+        arms_um = [math.hypot(*main_lobe_px(image)[:2]) * before.pixel_um for image in before.pair[0]]
         turn = (orientation_deg(after.pair[0]) - orientation_deg(before.pair[0]) + 180.0) % 360.0 - 180.0
         change = max(relative_l2(after.pair[p, d], before.pair[p, d]) for p in (0, 1) for d in range(n_depth))
         return ToleranceRow(
@@ -204,7 +220,7 @@ class Reference:
             efficiency=float(after.efficiency.min()),
             efficiency_change=_largest(after.efficiency - before.efficiency),
             extinction_ratio=float(after.extinction.min()),
-            turn_deg=_largest(turn),
+            turn_deg=_largest(np.where(np.array(arms_um) >= self.smallest_arm_um, turn, math.nan)),
             depth_error_m=_largest(depth_error_m[finite]) if finite.any() else math.nan,
             relative_error=relative_error,
             below_error=change <= self.error,

@@ -120,7 +120,9 @@ def test_a_circle_has_one_size() -> None:
 def test_a_library_far_from_a_turn_is_said_to_be() -> None:
     assert coverage_warning(4.2) == []
     (said,) = coverage_warning(0.4)
-    assert "0.4 rad" in said
+    assert "at least half of the light reach 0.4 rad" in said
+    (said,) = coverage_warning(0.0)
+    assert "no size is among the sizes that transmit at least half" in said
 
 
 def test_circles_of_a_hexagonal_lattice_list_their_orders(tmp_path: Path) -> None:

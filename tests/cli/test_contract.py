@@ -14,6 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
+from metafab import __version__
 from metafab.cli.entry import spread_depths
 from metafab.core.errors import InputError
 from metafab.optics import load as load_psf
@@ -69,6 +70,12 @@ def test_places_of_rows_are_two_numbers(main_job: MainJob) -> None:
     answer = metafab("coupling", mask, "--design", SMALL, "--at-um", "5;3", "--json")
     assert (answer.code, answer.stdout) == (2, "")
     assert "two numbers X,Y" in answer.stderr
+
+
+def test_the_version_is_that_of_the_code() -> None:
+    """One source: stale metadata of an installation in place used to be printed."""
+    answer = metafab("--version")
+    assert (answer.code, answer.stdout) == (0, f"metafab {__version__}\n")
 
 
 def test_doctor_lists_what_is_there() -> None:

@@ -55,6 +55,7 @@ def test_a_metalens_of_circles_focuses_at_the_vectorial_limit(tmp_path: Path) ->
     assert [merit.fwhm_x_um, merit.fwhm_y_um, merit.fwhm_limit_um] == pytest.approx([limit_um] * 3, rel=0.01)
     assert merit.strehl is not None
     assert 0.8 < merit.strehl <= 1.001
+    assert merit.relative_peak_x is not None and merit.relative_peak_x[0] < merit.strehl
     # Circles: both polarisations alike.
     (x_x, x_y), (y_x, y_y) = merit.focus.fwhm_polarised_um
     assert (x_x, x_y) == pytest.approx((y_y, y_x), rel=2e-3)

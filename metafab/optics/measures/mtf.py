@@ -16,16 +16,24 @@ _SAMPLES, _SAMPLES_PER_RAD, _MOST_SAMPLES = 192, 6.0, 1024
 
 
 def modulation_transfer(psf: Psf) -> tuple[FloatArray, FloatArray]:
-    """Return the MTF averaged over azimuth, of the light in the window: frequencies and moduli.
+    """Return the MTF averaged over azimuth, of the transmitted light: frequencies and moduli.
 
     The mean frequency of each ring, shape (n_frequency,), cycles per um from 0 to half the sampling rate; and the mean
-    modulus of the spectrum over its value at 0, shape (2, n_depth, n_frequency).
+    modulus of the window's spectrum over the transmitted power, shape (2, n_depth, n_frequency), and 1 at frequency 0:
+    transmitted light outside the window is a background without modulation. A pair without a power budget, as
+    a measured one, is taken over the power in its window.
     """
     n_y, n_x = psf.psf.shape[2:]
     spectrum = np.abs(np.fft.fft2(psf.psf))
     frequency, mean = _rings(spectrum.reshape(-1, n_y, n_x), 1.0 / (n_y * psf.pixel_um), 1.0 / (n_x * psf.pixel_um))
+    mean = mean.reshape(*psf.psf.shape[:2], -1)
+    whole = mean[..., :1].copy()
+    if psf.details.transmitted:
+        whole = np.maximum(whole, np.array(psf.details.transmitted)[:, None, None] / psf.pixel_um**2)
     with np.errstate(invalid="ignore"):
-        return frequency, (mean / mean[:, :1]).reshape(*psf.psf.shape[:2], -1)
+        mean = mean / whole
+    mean[..., 0] /= mean[..., 0]
+    return frequency, mean
 
 
 def lens_cut_off_per_um(imaging: Imaging) -> float:

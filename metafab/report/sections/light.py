@@ -42,6 +42,7 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         "psf",
         "Point-spread functions",
         html.paragraph(text),
+        *(html.note(text) for each in (run.summary.psf, run.summary.lights) if each for text in each.warnings()),
         _viewer(several),
         html.wide(html.figure(drawn["psf_pair"])) if "psf_pair" in drawn else "",
         html.figures(drawn, *(("psf_orientation", "psf_peak") if several else ()), "psf_focus", "psf_mtf"),
@@ -165,8 +166,7 @@ def _merit(merit: MeritFigures, *, has_lobe: bool) -> str:
             escape(depth_text(depth)),
             _share(merit.pinhole_efficiency_x[d]),
             _share(merit.pinhole_efficiency_y[d]),
-            _share(merit.strehl_x[d]),
-            _share(merit.strehl_y[d]),
+            *(_share(math.nan if peak is None else peak[d]) for peak in (merit.relative_peak_x, merit.relative_peak_y)),
             _ratio(merit.extinction_ratio[d]),
             *(html.number(size) for size in merit.main_lobe_x_um[d] if has_lobe),
         ]

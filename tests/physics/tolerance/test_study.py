@@ -18,8 +18,9 @@ from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.axes import corner_cell
 from metafab.library.library import Library
 from metafab.library.use.any_size import solved_amplitudes
-from metafab.optics import PsfNumerics, WrittenField, psf, relative_l2, written_field
-from metafab.spec import UnitCell
+from metafab.optics import PsfNumerics, WrittenField, ideal_field, psf, relative_l2, written_field
+from metafab.optics.measures.focus import PerfectLens
+from metafab.spec import Device, UnitCell
 from metafab.spec.design import Tolerances
 from metafab.tolerance import ToleranceTable, corner_fields, load_tolerance, save_tolerance, tolerance_table
 from metafab.tolerance.corners import SLICE_CHECKS, MaskSizes, slice_error
@@ -228,3 +229,15 @@ def test_a_filter_smears_the_light_of_the_table(written: WrittenField) -> None:
     light = optics.light(pupils)
     assert relative_l2(light.pair, band.psf) < 2.0 * filtered.target_error
     assert relative_l2(light.pair, one.psf) > 10.0 * filtered.target_error
+
+
+def test_one_window_has_neither_extinction_nor_depth_nor_turn(written: WrittenField) -> None:
+    """A lens on its axis: noise used to stand in these columns."""
+    alone = lens.imaging(split_angle_deg=0.0)
+    device = Device(alone.aperture_um, alone.focal_length_mm)
+    perfect = ideal_field(PerfectLens(alone, DEPTHS_M[1]), written.lattice, device)
+    optics, pupils, error = MaskOptics.of(perfect, alone, DEPTHS_M, PsfNumerics(window_px=48))
+    reference = Reference.of(optics, pupils, error)
+    row = reference.row("nominal", [reference.nominal], 0.0)
+    assert all(math.isnan(value) for value in (row.extinction_ratio, row.depth_error_m, row.turn_deg))
+    assert (row.change, row.peak_ratio) == (0.0, 1.0)

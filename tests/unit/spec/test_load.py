@@ -102,7 +102,13 @@ def test_a_sweep_beyond_the_period_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(None, "no file"), ("", "add the key"), ("name = ", "invalid TOML"), ("a = 1", "unknown"), (b"\xff\xfe", "UTF-8")],
+    [
+        (None, "no file"),
+        ("", "add the key"),
+        ("name = ", "invalid TOML"),
+        ("a = 1", "unknown"),
+        (b"\xff\xfe", "no text in UTF-8.*metafab psf"),
+    ],
 )
 def test_unusable_files_say_what_is_wrong(tmp_path: Path, content: str | bytes | None, message: str) -> None:
     path = tmp_path / "design.toml"

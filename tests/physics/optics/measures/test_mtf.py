@@ -14,6 +14,7 @@ from metafab.optics import Psf, PsfNumerics, psf
 from metafab.optics.geometry.polarisation import FocusIntegrals
 from metafab.optics.measures import metrics
 from metafab.optics.measures.mtf import lens_cut_off_per_um, lens_modulation, modulation_transfer
+from metafab.optics.point_spread import PsfDetails
 from metafab.spec import Device
 from tests import optics_lens as lens
 from tests.conjugate_pair import helix_psf
@@ -38,6 +39,30 @@ def test_the_mtf_of_a_gaussian_is_one() -> None:
     assert frequency[-1] == pytest.approx(0.5 / pixel_um, rel=0.01)
     # A ring is h = 1/192 per um wide; its mean differs by curvature times h^2 / 24, (2 pi sigma h)^2 / 24 = 0.006.
     assert np.abs(mtf - expected).max() < 0.0065
+
+
+def test_light_outside_the_window_counts_without_modulation() -> None:
+    """Half of the transmitted light misses the window: every frequency but 0 transfers half."""
+    pixel_um, sigma_um = 2.0, 12.0
+    axis = (np.arange(96) - 48) * pixel_um
+    spot = np.exp(-(axis[None, :] ** 2 + axis[:, None] ** 2) / (2 * sigma_um**2)) / (2 * math.pi * sigma_um**2)
+    inside, whole = (
+        _stack(spot, pixel_um),
+        replace(_stack(0.4 * spot, pixel_um), details=PsfDetails(transmitted=(0.8, 0.8))),
+    )
+    (_, of_window), (_, of_all) = modulation_transfer(inside), modulation_transfer(whole)
+    np.testing.assert_allclose(of_all[..., 0], 1.0)
+    np.testing.assert_allclose(of_all[..., 1:], 0.5 * of_window[..., 1:], atol=1e-12)
+
+
+def test_a_narrow_window_lifts_no_lens_above_its_limit() -> None:
+    """Per light in a window of 8 wavelengths / NA, the ideal lens lies 2 % above its own limit."""
+    fine = replace(OPTICS, pixel_um=0.25 / CUT_OFF)
+    stack = psf(lens.ideal(fine, lens.eq_3_and_4(fine)), fine, [FOCUS_M], PsfNumerics(window_px=64))
+    frequency, mtf = modulation_transfer(stack)
+    shown = (frequency > 0.0) & (frequency < CUT_OFF)
+    limit = lens_modulation(OPTICS, DEVICE, FOCUS_M, frequency, FOCUS_M)
+    assert (mtf[0, 0] - limit)[shown].max() < 5e-3
 
 
 def test_a_circular_aperture_in_focus_has_the_textbook_mtf() -> None:

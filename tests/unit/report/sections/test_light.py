@@ -102,3 +102,12 @@ def test_the_first_line_names_every_light(tmp_path: Path) -> None:
     )
     outline = DesignOutline.load(tmp_path / "design.toml")
     assert "633 nm; 633 nm, 10 deg in x-z" in subtitle(RunFolder(tmp_path, outline=outline))
+
+
+def test_the_page_says_where_the_light_is_that_misses_the_window(tmp_path: Path, smooth_library: Library) -> None:
+    run = closed_form_run(tmp_path, smooth_library)
+    assert run.summary.psf is not None
+    assert "misses the light" not in point_spread(run, {})
+    missed = replace(run.summary.psf, light_at_um=((-102.7, 0.505), (-102.7, 0.505)))
+    page = point_spread(replace(run, summary=replace(run.summary, psf=missed)), {})
+    assert "(-102.7, 0.505)" in page and "verify.centre_um" in page
