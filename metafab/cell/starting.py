@@ -15,6 +15,7 @@ import math
 from metafab.core.errors import InputError
 from metafab.materials import records, refractive_index
 from metafab.spec.cell import Material
+from metafab.spec.keys.reference import near
 
 #: Records by the usual name of a material, in the order in which they are tried.
 _RECORDS = {
@@ -60,7 +61,7 @@ def starting_cell(
         InputError: an unknown material or shape, a record without that wavelength, or pillars whose index is too low.
     """
     if shape not in _ERROR:
-        raise InputError.single("new", "--shape", f"one of {', '.join(_ERROR)}", repr(shape))
+        raise InputError.single("new", "--shape", f"one of {', '.join(_ERROR)}", repr(shape), near(shape, _ERROR))
     pillar, ground = (
         _record(name, wavelength_nm, option) for name, option in ((material, "--material"), (substrate, "--substrate"))
     )
@@ -118,7 +119,8 @@ def _record(name: str, wavelength_nm: float, option: str) -> str:
     tried = [name] if name in known else _RECORDS.get(name.lower(), ())
     if not tried:
         expected = f"a material such as {', '.join(sorted(known))}, TiO2, Si, a-Si, SiN"
-        raise InputError.single("new", option, expected, repr(name), "`docs/howto/new-material.md` adds others")
+        remedy = near(name, {*known, "TiO2", "Si", "a-Si", "SiN"}) or "`docs/howto/new-material.md` adds others"
+        raise InputError.single("new", option, expected, repr(name), remedy)
     for record in tried:
         low, high = known[record]
         if low <= wavelength_nm <= high:

@@ -263,11 +263,14 @@ def tolerance_table(
         work: processes or cluster that solve cells, and progress over the corners. The result does not depend on them.
 
     Raises:
-        InputError: slopes in a hexagonal lattice, inputs for which no PSF stack exists (:func:`metafab.optics.psf`), or
-            write fields that only blocks of so few sites divide that stitching does not fit into memory.
+        InputError: slopes of rings or in a hexagonal lattice, inputs for which no PSF stack exists
+            (:func:`metafab.optics.psf`), or write fields that only blocks of so few sites divide that stitching does
+            not fit into memory.
     """
-    if library.unit_cell.cell.is_hexagonal and tolerances.sidewall_deg > 0.0:
-        expected, remedy = "0 for a hexagonal lattice, whose slopes are not available", "set it in `[tolerance]`"
+    cell = library.unit_cell.cell
+    if (cell.is_hexagonal or cell.shape == "ring") and tolerances.sidewall_deg > 0.0:
+        kind = "a hexagonal lattice" if cell.is_hexagonal else 'cells of the shape "ring"'
+        expected, remedy = f"0 for {kind}, whose slopes are not available", "set it in `[tolerance]`"
         raise InputError.single("tolerance", "sidewall_deg", expected, f"{tolerances.sidewall_deg:g}", remedy)
     with threadpool_limits(1, "blas"):
         optics, pupils, error = MaskOptics.of(written, imaging, depths_m, numerics, transmission, work)

@@ -243,7 +243,9 @@ def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None
                 continue
             if item.external or item.is_virtual:
                 refuse(name, "content of the file itself", "an external or virtual dataset")
-            if item.dtype.kind not in "biufcS" or item.shape is None:
+            parts = [kind for kind, *_ in (item.dtype.fields or {}).values()]
+            is_complex = len(parts) == 2 and all(part.kind == "f" and not part.subdtype for part in parts)
+            if (item.dtype.kind not in "biufcS" and not is_complex) or item.shape is None:
                 refuse(name, "an array of numbers or bytes", f"{item.dtype} of shape {item.shape}")
             chunk = item.chunks or (1,) * item.ndim
             chunks = math.prod(-(-side // part) for side, part in zip(item.shape, chunk, strict=True))

@@ -127,7 +127,15 @@ def _h5(path: Path) -> dict[str, NDArray[np.generic]]:
     with hdf5.open_file(path) as file:
         names = [name for name in file if isinstance(file[name], h5py.Dataset)]
         hdf5.require_modest(file, path, names=["/" + name for name in names])
-        return {name.lower(): _complex_of_parts(file[name][()]) for name in names}
+        return {name.lower(): _as_written(file[name]) for name in names}
+
+
+def _as_written(item: h5py.Dataset) -> NDArray[np.generic]:
+    """Array of a dataset; MATLAB (version 7.3) stores matrices by columns, transposed here, and vectors as matrices."""
+    values = _complex_of_parts(item[()])
+    if "MATLAB_class" not in item.attrs:
+        return values
+    return values.ravel() if 1 in values.shape else values.T
 
 
 def _complex_of_parts(values: NDArray[np.generic]) -> NDArray[np.generic]:

@@ -241,3 +241,11 @@ def test_one_window_has_neither_extinction_nor_depth_nor_turn(written: WrittenFi
     row = reference.row("nominal", [reference.nominal], 0.0)
     assert all(math.isnan(value) for value in (row.extinction_ratio, row.depth_error_m, row.turn_deg))
     assert (row.change, row.peak_ratio) == (0.0, 1.0)
+
+
+def test_slopes_of_rings_are_refused_by_their_key(written: WrittenField, small_library: Library) -> None:
+    """Before any cell is solved; a solver's message without key or way out used to end the table."""
+    cell = replace(small_library.unit_cell.cell, shape="ring", wall_nm=40.0)
+    rings = replace(small_library, unit_cell=replace(small_library.unit_cell, cell=cell))
+    with pytest.raises(InputError, match=r'sidewall_deg.*expected 0 for cells of the shape "ring"'):
+        tolerance_table(written, rings, OPTICS, DEPTHS_M, Tolerances(sidewall_deg=1.0), 50)

@@ -66,6 +66,10 @@ def _objects(file: h5py.File, folder: Path) -> None:
     file["x"] = np.array([b"a", "b"], dtype=h5py.string_dtype())
 
 
+def _record(file: h5py.File, folder: Path) -> None:
+    file["x"] = np.zeros(3, dtype=[("real", "f8", (1000,)), ("imag", "f8")])
+
+
 def _nothing(file: h5py.File, folder: Path) -> None:
     file["x"] = h5py.Empty("f8")
 
@@ -77,7 +81,7 @@ def _many_groups(file: h5py.File, folder: Path) -> None:
 
 HOSTILE = [
     _external_link, _soft_link, _external_storage, _virtual, _unwritten, _many_unwritten, _huge_chunk, _tiny_chunks,
-    _deflated_zeros, _bytes_that_become_floats, _objects, _nothing, _many_groups,
+    _deflated_zeros, _bytes_that_become_floats, _objects, _record, _nothing, _many_groups,
 ]  # fmt: skip
 
 

@@ -84,7 +84,24 @@ def _alike(folder: Path, w: FloatArray, h: FloatArray, x: ComplexArray, y: Compl
     return folder / "d.h5", "field", "minus"
 
 
-@pytest.mark.parametrize("write", [_parts, _phases, _scattering, _alike])
+def _matlab(folder: Path, w: FloatArray, h: FloatArray, x: ComplexArray, y: ComplexArray) -> tuple[Path, str, str]:
+    """A matrix of MATLAB's version 7.3, a row for each length: transposed, its parts in a record."""
+    maps = np.full((2, SIZES_NM.size, SIZES_NM.size), np.nan, dtype=np.complex128)
+    place = ((h - 100.0) / STEP_NM).astype(int), ((w - 100.0) / STEP_NM).astype(int)
+    maps[0][place], maps[1][place] = x, y
+    with h5py.File(folder / "e.h5", "w") as file:
+        for name in ("width_nm", "length_nm"):
+            file[name] = SIZES_NM[:, None]
+        for name, values in (("t_xx", maps[0]), ("t_yy", maps[1])):
+            record = np.zeros(values.shape, dtype=[("real", "f8"), ("imag", "f8")])
+            record["real"], record["imag"] = values.T.real, values.T.imag
+            file[name] = record
+        for item in file.values():
+            item.attrs["MATLAB_class"] = np.bytes_("double")
+    return folder / "e.h5", "field", "minus"
+
+
+@pytest.mark.parametrize("write", [_parts, _phases, _scattering, _alike, _matlab])
 def test_every_form_of_file_gives_the_same_library(
     write: Writer, cell: UnitCell, samples: tuple[FloatArray, FloatArray, ComplexArray, ComplexArray], tmp_path: Path
 ) -> None:
