@@ -271,9 +271,19 @@ def _varied(kind: str, cell: PillarCell, rng: np.random.Generator) -> PillarCell
     if kind == "ellipse":
         is_staggered = bool(rng.random() < 0.3)
         y_nm = 0.5 * math.sqrt(3.0) * cell.period_nm[0] if is_staggered else cell.period_nm[1]
-        length_nm = min(cell.length_nm, 0.95 * y_nm)
-        period_nm = (cell.period_nm[0], y_nm)
-        return replace(cell, shape="ellipse", is_staggered=is_staggered, period_nm=period_nm, length_nm=length_nm)
+        width_nm, length_nm = cell.width_nm, min(cell.length_nm, 0.95 * y_nm)
+        reach = math.hypot(width_nm / cell.period_nm[0], 0.5 * length_nm / y_nm)
+        if is_staggered and reach > 0.98:
+            # Ellipses of adjacent rows would touch.
+            width_nm, length_nm = 0.97 / reach * width_nm, 0.97 / reach * length_nm
+        return replace(
+            cell,
+            shape="ellipse",
+            is_staggered=is_staggered,
+            period_nm=(cell.period_nm[0], y_nm),
+            width_nm=width_nm,
+            length_nm=length_nm,
+        )
     if kind == "ring":
         round_cell = _varied("ellipse", replace(cell, length_nm=cell.width_nm), rng)
         outer_nm = min(round_cell.width_nm, round_cell.length_nm)

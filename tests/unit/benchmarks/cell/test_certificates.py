@@ -14,6 +14,7 @@ from benchmarks.cell import certificates
 from benchmarks.cell.certificates import KINDS, TARGETS, Case, audit, draw
 from metafab.benchmark import rows_of
 from metafab.cell import CellNumerics, solve
+from metafab.cell.curved import is_treated
 from metafab.cell.validation import check
 from metafab.cli.app import app
 from metafab.core.errors import InputError
@@ -32,6 +33,9 @@ def test_cells_of_all_kinds_are_drawn_and_physical() -> None:
     for _, cell in drawn:
         check(cell)
     assert {kind for kind, _ in drawn} == set(KINDS)
+    assert all(
+        is_treated(cell) for _, cell in (*drawn, draw(300, 103)) if cell.shape == "ellipse" and cell.is_staggered
+    )
     assert sum(KINDS.values()) == pytest.approx(1.0)
     cells = [cell for _, cell in drawn]
     assert {cell.shape for cell in cells} == {"rectangle", "ellipse", "cross", "ring"}
