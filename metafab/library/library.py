@@ -218,18 +218,23 @@ class Library(Displayed):
         if not beyond:
             return found
         row, column = np.unravel_index(int(np.nanargmax(error)), error.shape)
+        worst = self._size(f"{self.width_nm[column]:g}", f"{self.length_nm[row]:g}")
         return [
             *found,
             f"{beyond} of {int(self.known.sum())} sizes are beyond the target error {target:g}; the worst, "
-            f"{self.width_nm[column]:g} x {self.length_nm[row]:g} nm, is known to {error[row, column]:.2g}. "
+            f"{worst}, is known to {error[row, column]:.2g}. "
             "A layout takes others where they serve; another height or period moves resonances",
         ]
 
+    def _size(self, width: str, length: str) -> str:
+        """A size in words; round pillars have a diameter."""
+        return f"{width} nm in diameter" if self.unit_cell.cell.is_round else f"{width} x {length} nm"
+
     def key_figures(self) -> dict[str, str]:
         """Sizes, wavelength and error."""
-        width, length = self.width_nm, self.length_nm
+        width, length = (f"{axis[0]:g} to {axis[-1]:g}" for axis in (self.width_nm, self.length_nm))
         return {
-            "sizes": f"{int(self.known.sum())}, {width[0]:g} to {width[-1]:g} x {length[0]:g} to {length[-1]:g} nm",
+            "sizes": f"{int(self.known.sum())}, {self._size(width, length)}",
             "wavelength": f"{self.wavelength_nm[0]:g} nm",
             "largest error of t": f"{np.nanmax(self.error_of_sizes):.1e}",
         } | ({} if self.neighbours is None else {"neighbours": self.neighbours.summary})

@@ -40,7 +40,8 @@ class ModulationFigures:
     """Modulation transfer of the pair, per transmitted power, and of a standard lens, mean over directions."""
 
     frequency_per_mm: FloatArray  #: Shape (n,), spatial frequency on the sensor.
-    pair_x: FloatArray  #: Shape (n_depth, n), modulation transfer of PSF_x at each depth.
+    #: Shape (n_depth, n), modulation transfer of PSF_x at each depth; NaN where the window misses the light.
+    pair_x: FloatArray
     pair_y: FloatArray  #: Shape (n_depth, n), modulation transfer of PSF_y.
     #: Shape (n_depth, n), modulation transfer of a lens of equal aperture, focused at the focus depth.
     lens: FloatArray
@@ -187,7 +188,7 @@ def _merit(job: Job) -> MeritFigures:
         "ideal_rotation_deg": metrics.rotation_deg(ideal),
         "depth_of_field_dioptre": metrics.depth_of_field_dioptre(whole),
         "extinction_ratio": written.extinction_ratio,
-        "modulation": _modulation(job, imaging, written),
+        "modulation": _modulation(job, imaging, written, is_seen=not misses),
         "loss_chain": _loss_chain(job, written, ideal, passed, ideal_passed),
         "space_variance": _space_variance(imaging, whole),
         "measured": job.design.measured,
@@ -245,7 +246,7 @@ def _focused(design: Design) -> tuple[int, ...]:
     return tuple(i for i, p in enumerate(POLARISATIONS) if None in lenses or p in lenses)
 
 
-def _modulation(job: Job, imaging: Imaging, written: Psf) -> ModulationFigures:
+def _modulation(job: Job, imaging: Imaging, written: Psf, *, is_seen: bool) -> ModulationFigures:
     from metafab.optics.measures.mtf import lens_cut_off_per_um, lens_modulation, modulation_transfer
 
     device, focus_m = job.design.device, job.design.sensor.focus_depth_m
@@ -254,6 +255,8 @@ def _modulation(job: Job, imaging: Imaging, written: Psf) -> ModulationFigures:
     rings, pair = modulation_transfer(written)
     frequency = frequency[frequency <= rings[-1]]
     pair_x, pair_y = (np.array([np.interp(frequency, rings, curve) for curve in curves]) for curves in pair)
+    if not is_seen:
+        pair_x, pair_y = np.full_like(pair_x, np.nan), np.full_like(pair_y, np.nan)
     lens = [lens_modulation(imaging, device, float(z), frequency, focus_m) for z in written.depth_m]
     return ModulationFigures(1e3 * frequency, pair_x, pair_y, np.array(lens))
 

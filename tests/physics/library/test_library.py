@@ -63,6 +63,13 @@ def test_it_survives_its_file_and_holds_against_a_finer_solution(circles: Librar
     assert all(size.width_nm == size.length_nm for size in result.sizes)
 
 
+def test_a_circle_is_spoken_of_by_its_diameter(circles: Library) -> None:
+    assert circles.key_figures()["sizes"].endswith(f"to {circles.width_nm[-1]:g} nm in diameter")
+    strict = replace(circles.unit_cell, sweep=replace(circles.unit_cell.sweep, target_error=1e-9))
+    (sentence,) = replace(circles, unit_cell=strict).warnings()
+    assert " nm in diameter, is known to " in sentence and " x " not in sentence
+
+
 def test_figures_of_merit_are_those_of_the_diameters(circles: Library) -> None:
     found = library.quality(circles)
     assert all(map(math.isfinite, vars(found).values()))
