@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 import gdstk
@@ -76,6 +77,8 @@ def test_the_version_is_that_of_the_code() -> None:
     """One source: stale metadata of an installation in place used to be printed."""
     answer = metafab("--version")
     assert (answer.code, answer.stdout) == (0, f"metafab {__version__}\n")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["version"] == __version__
 
 
 def test_doctor_lists_what_is_there() -> None:

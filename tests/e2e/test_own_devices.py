@@ -60,6 +60,14 @@ def test_a_metalens_of_circles_focuses_at_the_vectorial_limit(tmp_path: Path) ->
     (x_x, x_y), (y_x, y_y) = merit.focus.fwhm_polarised_um
     assert (x_x, x_y) == pytest.approx((y_y, y_x), rel=2e-3)
     assert all(math.isnan(ratio) for ratio in merit.extinction_ratio)
+    # Per transmitted power, no lens transfers more than its limit; rings of the spectrum err by 2e-3.
+    assert (merit.modulation.pair_x - merit.modulation.lens).max() < 5e-3
+    # A window beside the focus has no peak and no modulation to compare.
+    aside = replace(small, verify=replace(small.verify, centre_um=(60.0, 0.0)))
+    missed = run(aside, tmp_path / "run").merit
+    assert missed is not None
+    assert missed.relative_peak_x is None and missed.relative_peak_y is None
+    assert np.isnan(missed.modulation.pair_x).all() and np.isfinite(missed.modulation.lens).all()
 
 
 @pytest.mark.slow
