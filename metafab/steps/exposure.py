@@ -159,7 +159,7 @@ def expose_mask(
     copies, in_focus = design.mask.copies, exposure.beam_psf(process)
     # All lenses are corrected for the focus of the one that is read.
     psf = exposure.beam_psf(process, copies[copy - 1].focus_um) if 1 <= copy <= len(copies) else in_focus
-    range_nm = float(in_focus.range_nm.max())
+    range_nm = float(psf.range_nm.max())
     lenses, listed = read_lenses(path, design, copy, range_nm, work.progress, together=together)
     pillars, ratio = lenses[0].pillars, process.base_over_clearing_dose
     if ratio is None and psf.blur_nm != in_focus.blur_nm:  # All copies share the base dose, that of the best focus.

@@ -32,7 +32,7 @@ def modulation_transfer(psf: Psf) -> tuple[FloatArray, FloatArray]:
         whole = np.maximum(whole, np.array(psf.details.transmitted)[:, None, None] / psf.pixel_um**2)
     with np.errstate(invalid="ignore"):
         mean = mean / whole
-    mean[..., 0] /= mean[..., 0]
+        mean[..., 0] /= mean[..., 0]
     return frequency, mean
 
 
