@@ -20,10 +20,8 @@ from typing import TYPE_CHECKING
 
 from metafab.core.further import further_names
 from metafab.mask.drawing.cells import top_name
-from metafab.mask.drawing.dose import datatype_doses
 from metafab.mask.drawing.include import shapes_beside
 from metafab.mask.exchange import from_gdstk
-from metafab.mask.gdsii.doses import write_dose_datatypes
 from metafab.mask.plan import announcement, plan
 from metafab.mask.read import ReadBack, read, read_shapes
 from metafab.mask.write import WrittenFile, biased, table_names, write
@@ -33,7 +31,6 @@ __all__ = [
     "WrittenFile",
     "announcement",
     "biased",
-    "datatype_doses",
     "from_gdstk",
     "plan",
     "read",
@@ -42,7 +39,6 @@ __all__ = [
     "table_names",
     "top_name",
     "write",
-    "write_dose_datatypes",
 ]
 
 if not TYPE_CHECKING:

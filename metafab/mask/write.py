@@ -22,9 +22,10 @@ from metafab.layout.geometry import whole_dbu
 from metafab.mask.drawing.cell_writer import Drawing, EncodedTile, MaskWriter, TileEncoder
 from metafab.mask.drawing.cells import top_name
 from metafab.mask.drawing.copies import LensCopy
-from metafab.mask.drawing.dose import DOSE_TABLES, dose_tables
+from metafab.mask.drawing.dose import DOSE_DATATYPES, DOSE_TABLES, datatype_doses, dose_tables
 from metafab.mask.drawing.include import shapes_beside
 from metafab.mask.drawing.stamps import Stamps
+from metafab.mask.gdsii.doses import write_dose_datatypes
 from metafab.mask.gdsii.writer import GdsiiWriter
 from metafab.mask.oasis.writer import OasisWriter
 from metafab.mask.sidecar import MaskFigures, MaskSums, TileCount, layer_properties, sidecar
@@ -51,11 +52,14 @@ def write(
     executor: Executor | None = None,
     dose_class: Sequence[NDArray[np.uint8]] = (),
     class_dose: FloatArray | None = None,
+    *,
+    dose_datatypes: bool = False,
 ) -> tuple[WrittenFile, ...]:
     """Write masks ``layout.gds`` and ``.oas`` (of ``mask.formats``), ``layout.lyp`` and ``layout.json``; return all.
 
     Where doses are known, of ``mask.copies`` or of classes, ``doses.csv``, ``.jdi`` and ``.txt`` give that of each
-    datatype; with ``mask.exposure``, ``fields.csv`` lists the write fields in order.
+    datatype; with ``mask.exposure``, ``fields.csv`` lists the write fields in order. With ``dose_datatypes``, and "gds"
+    among ``mask.formats``, ``doses.gds`` is the mask with doses in thousandths as datatypes.
 
     Equal pillars and designs give equal bytes. Only a few tiles are held in memory. Files appear under their names only
     when complete.
@@ -63,7 +67,7 @@ def write(
     Pillars are drawn with ``mask.bias_nm``, on one datatype for each class of ``mask.dose``. The top cell also holds
     the shapes of ``mask.chip`` and ``mask.tone``, and one lens for each of ``mask.copies``. Options that the design
     leaves out change no byte. A file of an earlier call in a format that is no longer in ``mask.formats`` is removed,
-    because ``layout.json`` would not describe it.
+    because ``layout.json`` would not describe it; likewise tables of doses and ``doses.gds``.
 
     ``mapping`` is for ``layout.json``, ``class_dose`` that of each class relative to the base dose, shape (classes,),
     if known. Other arguments and errors as :func:`write_drawings`.
@@ -77,13 +81,17 @@ def write(
     for name, lines in tables.items():
         with whole_file(directory / name) as part:
             part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    for other in {"fields.csv", *DOSE_TABLES} - tables.keys():
+    for other in {"fields.csv", DOSE_DATATYPES, *DOSE_TABLES} - tables.keys():
         (directory / other).unlink(missing_ok=True)
+    if dose_datatypes:
+        doses = datatype_doses(design, class_dose)
+        write_dose_datatypes(files["gds"], directory / DOSE_DATATYPES, design.mask.layer, doses)
     for other in WRITERS.keys() - files.keys():
         (directory / f"layout.{other}").unlink(missing_ok=True)
     table = sidecar(design, figures, files)
     write_json(directory / "layout.json", table if mapping is None else {**table, "mapping": dict(mapping)})
-    paths = [*files.values(), *(directory / name for name in ("layout.lyp", "layout.json", *sorted(tables)))]
+    names = ("layout.lyp", "layout.json", *sorted(tables), *((DOSE_DATATYPES,) if dose_datatypes else ()))
+    paths = [*files.values(), *(directory / name for name in names)]
     return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
 
 

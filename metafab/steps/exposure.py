@@ -31,9 +31,6 @@ Printed = Literal["plain", "corrected"]
 #: Record of the exposure in a run folder.
 FILE = "exposure.json"
 
-#: Corrected mask whose datatypes are doses.
-DOSE_DATATYPES = "doses.gds"
-
 
 @dataclass(frozen=True)
 class PrintedFigures:
@@ -248,14 +245,16 @@ def write_corrected(
         return tuple(file.path for file in mask.write(found.drawn, folder, plain, progress=progress))
     dosed = replace(plain, mask=replace(plain.mask, dose=Dose(by="proximity", classes=len(found.class_dose))))
     of_site = [lens.dose_class for lens in exposed.lenses.values() if lens.dose_class is not None]
-    files = mask.write(found.drawn, folder, dosed, progress=progress, dose_class=of_site, class_dose=found.class_dose)
-    paths, further = [file.path for file in files], folder / DOSE_DATATYPES
-    if dose_datatypes:
-        doses = mask.datatype_doses(dosed, found.class_dose)
-        mask.write_dose_datatypes(folder / "layout.gds", further, design.mask.layer, doses)
-        return (*paths, further)
-    further.unlink(missing_ok=True)
-    return tuple(paths)
+    files = mask.write(
+        found.drawn,
+        folder,
+        dosed,
+        progress=progress,
+        dose_class=of_site,
+        class_dose=found.class_dose,
+        dose_datatypes=dose_datatypes,
+    )
+    return tuple(file.path for file in files)
 
 
 def _printed(job: Job) -> PrintedFigures:

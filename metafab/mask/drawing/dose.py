@@ -16,6 +16,8 @@ from metafab.spec import Design, Dose
 
 #: Files that give the dose of each datatype.
 DOSE_TABLES = ("doses.csv", "doses.jdi", "doses.txt")
+#: Corrected mask whose datatypes are doses.
+DOSE_DATATYPES = "doses.gds"
 
 
 class DoseClasses:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -94,6 +95,17 @@ def test_classes_that_do_not_fit_are_refused(
     with pytest.raises(InputError, match="dose"):
         mask.write(tiny.pillars, tmp_path, design, dose_class=given)
     assert not list(tmp_path.glob("layout.*"))
+
+
+def test_doses_as_datatypes_go_with_the_mask_that_they_are_of(
+    tiny: Assignment, dosed: Design, dose_class: np.ndarray, tmp_path: Path
+) -> None:
+    class_dose = np.linspace(0.9, 1.1, CLASSES)
+    options: dict[str, Any] = {"dose_class": (dose_class,), "class_dose": class_dose}
+    written = mask.write(tiny.pillars, tmp_path, dosed, dose_datatypes=True, **options)
+    assert tmp_path / "doses.gds" in {file.path for file in written}
+    mask.write(tiny.pillars, tmp_path, dosed, **options)
+    assert not (tmp_path / "doses.gds").exists()
 
 
 def test_many_classes_are_for_proximity_only() -> None:
