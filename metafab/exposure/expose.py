@@ -193,7 +193,7 @@ def expose_lenses(
     first = lenses[0]
     drawn, rounds, class_dose = first.pillars, 0, np.ones(1)
     of_site: Sequence[NDArray[np.uint8] | None] = [None] * len(lenses)
-    continuous: list[SizeSums] = []
+    continuous: dict[Hashable, SizeSums] = {}
     with work.threads() as executor:
         resist = _resist_of(first.pillars, psf, outline)
         tables, dose = EdgeTables.of(psf, resist.shapes), np.ones(resist.size_index.shape, dtype=np.float32)
@@ -203,8 +203,10 @@ def expose_lenses(
         if correction == "dose":
             dosed, rounds = corrected(dosed, work.progress)
             if numerics.classes:
-                continuous = [_sums(one, lens, dosed) for one, lens in zip(dosed, lenses, strict=True)]
-                of_site, class_dose = quantised(dosed, _class_count(numerics, dosed, continuous[0]))
+                for lens, one in zip(lenses, dosed, strict=True):
+                    if (key := (one.surroundings, lens.dose)) not in continuous:
+                        continuous[key] = _sums(one, lens, dosed)
+                of_site, class_dose = quantised(dosed, _class_count(numerics, dosed, list(continuous.values())))
                 rounded = {key: class_dose.astype(np.float32)[of] for key, of in {id(of): of for of in of_site}.items()}
                 dosed = [replace(one, dose=rounded[id(of)]) for one, of in zip(dosed, of_site, strict=True)]
         elif correction == "shape":
@@ -219,7 +221,7 @@ def expose_lenses(
             result = _predicted(one.at(lens.dose, dosed), drawn, contrast, own)
             figures = replace(result.figures, classes=len(class_dose), rounds=rounds)
             if continuous:
-                sums = continuous[number]
+                sums = continuous[key]
                 figures = replace(figures, continuous_rms_nm=sums.rms_nm, continuous_max_nm=sums.largest_nm)
             found[key] = replace(result, figures=figures, dose_class=of_site[number], class_dose=class_dose)
     return tuple(found[one.surroundings, lens.dose] for lens, one in zip(lenses, dosed, strict=True))
@@ -293,12 +295,16 @@ def _sums(lens: LensDoses, exposed: ExposedLens, lenses: Sequence[LensDoses]) ->
     return predict(at_dose.process, at_dose.dose, NO_PLACES).sums
 
 
-def _class_count(numerics: ExposureNumerics, lenses: Sequence[LensDoses], sums: SizeSums) -> int:
-    """Number of classes, of which half a step changes printed sizes by :data:`_ROUNDING_NM` where it is not given."""
+def _class_count(numerics: ExposureNumerics, lenses: Sequence[LensDoses], sums: Sequence[SizeSums]) -> int:
+    """Number of classes, of which half a step changes printed sizes by :data:`_ROUNDING_NM` where it is not given.
+
+    The lens of the largest mean latitude decides: one at a low dose may not print at all.
+    """
     if numerics.classes != "auto":
         return min(numerics.classes, numerics.most_classes)
     span_percent = 100.0 * math.log(dose_span(lenses))
-    count = math.ceil(0.5 * span_percent * sums.latitude_nm / sums.sides / _ROUNDING_NM)
+    latitude_nm = max(each.latitude_nm / each.sides for each in sums)
+    count = math.ceil(0.5 * span_percent * latitude_nm / _ROUNDING_NM)
     return min(max(count, 2), numerics.most_classes)
 
 
