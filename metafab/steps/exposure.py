@@ -153,6 +153,11 @@ def expose_mask(
         further.append(Fault("mask.dose", "one dose for all pillars: doses of classes are not read", got, remedy))
     process = exposure.exposure_process(design, further)
     outline, together = Outline.of(design), correct and process.correction == "dose"
+    most_classes = MOST_DATATYPES // len(design.mask.doses)
+    if together and most_classes < 2:
+        expected = f"at most {MOST_DATATYPES // 2} different doses, as each has two classes at least"
+        remedy = 'correct groups of them as designs of their own, or set `process.exposure.correction = "shape"`'
+        raise InputError.single(design.name, "mask.copies", expected, f"{len(design.mask.doses)}", remedy)
     copies, in_focus = design.mask.copies, exposure.beam_psf(process)
     # All lenses are corrected for the focus of the one that is read.
     psf = exposure.beam_psf(process, copies[copy - 1].focus_um) if 1 <= copy <= len(copies) else in_focus
@@ -168,7 +173,7 @@ def expose_mask(
         del before  # its doses are as large as the lens
     numerics = exposure.ExposureNumerics(
         classes=process.classes,
-        most_classes=MOST_DATATYPES // len(design.mask.doses),
+        most_classes=most_classes,
         samples=samples,
         keep_sizes=keep_sizes,
     )
@@ -260,8 +265,9 @@ def write_corrected(
 def _printed(job: Job) -> PrintedFigures:
     """Expose the written mask with one dose and corrected; write the record for the report."""
     path = mask_paths(job)[-1]
-    # Copies with a bias are predicted; their correction is refused.
-    correct = not any(copy.bias_nm for copy in job.design.mask.copies)
+    # Copies with a bias, or at too many doses, are predicted; their correction is refused.
+    mask = job.design.mask
+    correct = not any(copy.bias_nm for copy in mask.copies) and 2 * len(mask.doses) <= MOST_DATATYPES
     exposed = expose_mask(path, job.design, correct, 0, 1, job.work, keep_plain=True)
     save_exposure(exposed, path, job.design, job.folder / FILE)
     assert exposed.plain is not None

@@ -355,6 +355,16 @@ def test_refusals_name_the_key(library: str, further: str, named: str, folder: P
     assert named in answer.stderr
 
 
+def test_too_many_doses_are_refused_before_any_is_found(folder: Path, tmp_path: Path) -> None:
+    """Each of 129 would have a single class among 256 datatypes."""
+    copies = (f"[[mask.copies]]\nat_um = [{1000 * k}.0, 0.0]\ndose = {1 + 0.01 * k:g}\n" for k in range(129))
+    path = design_file(tmp_path / "design.toml", SMALL, PROCESS + "".join(copies), optimise='"none"')
+    answer = metafab("expose", folder / "layout.oas", "--design", path, "--correct", "-o", tmp_path / "out")
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "at most 128 different doses" in answer.stderr
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("library", "further", "columns", "named"),
     [
