@@ -17,12 +17,14 @@ from typing import Any
 from benchmarks.pipeline.commands import REPOSITORY, finished
 
 APERTURES_UM = ("2000", "4000", "8000")
-#: Extra arguments of each step; pixels of 2 um suit the focal spot of 8 mm and more at this focal length.
+#: Extra arguments of each step; pixels of 2 um suit the focal spot of 8 mm at this focal length.
 _STEPS = {
     "layout": (),
     "drc": ("--engine", "lattice"),
     "psf": ("--depths-m", "0.3", "--pixel-um", "2"),
 }
+#: Those of the PSF above 8 mm, um: at 0.3 m the light would fill more than the window, and 2 um be too coarse.
+_LARGE_UM, _IN_FOCUS = 8000.0, ("--depths-m", "inf", "--pixel-um", "0.4")
 
 
 def rows(quick: bool, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
@@ -49,7 +51,8 @@ def _lens(aperture_um: float, library: Path, folder: Path) -> Iterator[dict[str,
         place = [str(design)] if step == "layout" else [str(mask), "--design", str(design)]
         output = ["-o", str(folder if step == "layout" else folder / f"{step}.out")]
         workers = [] if step == "psf" else ["--workers", "1"]
-        done = finished(step, *place, *output, *further, *workers, "--json", most_s=36_000)
+        extra = _IN_FOCUS if step == "psf" and aperture_um > _LARGE_UM else further
+        done = finished(step, *place, *output, *extra, *workers, "--json", most_s=36_000)
         _require(done.code, f"{step}: {done.stderr}")
         found = json.loads(done.stdout)
         yield {

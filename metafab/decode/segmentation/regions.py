@@ -283,9 +283,10 @@ def _find_regions(
 
     At first each layer has one depth. If some of its segments are tilted, or are stripes of a tilted surface, the
     layers become planes, and pixels are assigned to them once more. Where noise tells more layers apart, those replace
-    them if the pixels' depths fit clearly better: a staircase lies within the cells' errors of a plane. Where the
-    pixels' depths fit no planes, segments are pieces of planes across the surface of semi-global matching, if those
-    are fewer and explain the twins no worse.
+    them if the pixels' depths fit clearly better: a staircase lies within the cells' errors of a plane. Segments whose
+    pixels lie on a quadric of vergence become one, if there are no more of them and they explain the twins better.
+    Where the pixels' depths fit no planes, segments are pieces of planes across the surface of semi-global matching, if
+    those are fewer and explain the twins no worse.
     """
     segmentation = _Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
     if any(plane.tilted for plane in known):
