@@ -20,7 +20,8 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 
-#: Gauss-Legendre nodes from the centre to a lens point: exact to 1e-12 for objects beyond the aperture radius.
+#: Gauss-Legendre nodes from the centre to a lens point. On 40 000 random rays they were off by at most 2e-9 um for
+#: objects that appear farther than 1.7 aperture radii, and by 1e-6 um for those at 0.9 of them.
 _NODES = 8
 #: Newton steps from below. Each doubles the digits, and the start has two.
 _NEWTON_STEPS = 5
