@@ -290,7 +290,7 @@ class UnitCell(Checked):
             ),
         ):
             if is_refused and name in spans:
-                yield f"`sweep.axes.{name}` is not available for {shape}; build one library for each value"
+                yield f"`sweep.axes.{name}` is not available for {shape}; remove the axis"
         for name, (low, high) in spans.items():
             if not low <= self.nominal(name) <= high:
                 yield (f"`sweep.axes.{name}` must contain the cell's own {self.nominal(name):g}, got [{low}, {high}]")
