@@ -180,8 +180,8 @@ def _corners(group: h5py.Group) -> Corners:
     models = []
     for name in sorted(name for name in group if name.startswith("model_")):
         part = group[name]
-        # Files of before circles had axes name no sizes.
-        further = tuple(int(part.attrs.get(name, 2)) for name in ("axis_weight", "variables", "sizes"))
+        # Files from before libraries of circles had axes state no `sizes`.
+        further = *(int(part.attrs[name]) for name in ("axis_weight", "variables")), int(part.attrs.get("sizes", 2))
         models.append(_checked(part, further, _complex(part, "numerator"), _complex(part, "denominator")))
     place, certificate = (np.asarray(group[key][()], dtype=np.float64) for key in ("place", "certificate"))
     safety_factor, floor = (float(group.attrs[key]) for key in ("factor", "floor"))

@@ -6,12 +6,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
 from metafab import library
 from metafab.cell import CellNumerics, CellResponse, PillarCell
-from metafab.core.errors import SolverError
+from metafab.core.errors import InputError, SolverError
 from metafab.library import Library
 from metafab.library.store import statistics_json
 from metafab.library.sweep.build import BuildNumerics
@@ -111,6 +112,19 @@ def test_workers_and_kills_change_nothing(built: Library, cell: UnitCell, tmp_pa
     assert loaded.corners is not None and again.corners is not None
     assert loaded.corners.statistics == again.corners.statistics
     assert library.is_current(tmp_path / "library.h5", cell) == (again.inputs_sha256 == loaded.inputs_sha256)
+
+
+def test_corners_from_before_circles_had_axes_are_those_of_two_sizes(built: Library, tmp_path: Path) -> None:
+    library.save(built, tmp_path / "old.h5")
+    with h5py.File(tmp_path / "old.h5", "r+") as file:
+        for model in (each for name, each in file["corners"].items() if name.startswith("model_")):
+            del model.attrs["sizes"]
+    there, here = (each.at(wavelength_nm=806.0) for each in (library.load(tmp_path / "old.h5"), built))
+    assert np.array_equal(there.t_xx, here.t_xx)
+    with h5py.File(tmp_path / "old.h5", "r+") as file:
+        del file["corners/model_0"].attrs["axis_weight"]
+    with pytest.raises(InputError, match="axis_weight"):
+        library.load(tmp_path / "old.h5")
 
 
 def test_a_bias_alone_is_no_variable_but_a_margin_of_the_sizes(plain: UnitCell) -> None:
