@@ -88,8 +88,9 @@ def fit_corner_models(
     def fit(some: Samples, shape: Shape) -> RationalModel:
         return fit_model(some, shape, spans_nm, np.ones(some.width_nm.size, dtype=bool) if exchange else None)
 
-    equations = int(np.count_nonzero(~held_out)) * (2 if exchange else 1)
     sizes = 1 if np.array_equal(samples.width_nm, samples.length_nm) else 2
+    # The mirror image of a circle is the circle itself: no equation more.
+    equations = int(np.count_nonzero(~held_out)) * (2 if exchange and sizes == 2 else 1)
     shapes = corner_shapes(equations, samples.axes.shape[1], sizes)
     # The worst candidate is not used as a rival.
     return _fit_ranked(samples, held_out, shapes, fit, max(2, min(CORNER_MODELS, len(shapes) - 1)))

@@ -52,3 +52,15 @@ def test_more_samples_never_mean_poorer_shapes(equations: int, variables: int) -
     assert all(shape.unknowns <= 0.7 * 2 * equations for shape in shapes)
     fewer = corner_shapes(equations // 2, variables)
     assert max(shape.degrees[0] for shape in shapes) >= max(shape.degrees[0] for shape in fewer)
+
+
+def test_the_mirror_image_of_a_circle_adds_no_equation() -> None:
+    """Of circles that x and y may be exchanged in, both polarisations are one: shapes are those of half the values."""
+    rng = np.random.default_rng(4)
+    diameter_nm, axes = rng.uniform(100.0, 250.0, 80), rng.uniform(-1.0, 1.0, (80, 1))
+    x = rational(diameter_nm, diameter_nm, np.repeat(axes, 2, axis=1))
+    held_out, span = np.arange(80) % 4 == 0, (100.0, 250.0)
+    models = fit_corner_models(Samples(diameter_nm, diameter_nm, x, axes), held_out, (span, span), exchange=True)
+    for model in (models.best, *models.rivals):
+        assert model.shape.sizes == 1
+        assert model.shape.unknowns <= 0.7 * 2 * 60
