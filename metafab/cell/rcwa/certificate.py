@@ -104,8 +104,8 @@ _SKIPPED_RUNG = 7
 _ACCIDENTS = ((3, 5), (4, 6))
 #: Last difference above which the ladder has not begun to converge.
 _NOT_CONVERGING = 5e-2
-#: Implied error above which it has not, and 1 is stated: 6 cosines under light at an angle implied 0.17 and 0.29, and
-#: were off by 0.25 and 0.35.
+#: Implied error, of an amplitude or an efficiency, above which it has not, and 1 is stated: 6 cosines under light at an
+#: angle implied 0.17 and 0.29, and were off by 0.25 and 0.35.
 _FAR_FROM_CONVERGED = 0.1
 #: Measured range: period in wavelengths inside the densest medium, height in vacuum wavelengths, ratio of the indices,
 #: and extinction over index. In narrower and in taller cells 5 cosines may be worse than 3, and claims failed.
@@ -300,8 +300,7 @@ def bound(
     if not claims:
         return float("inf")
     if not measured:
-        implied = max(growth * claims[0].floor, implied_bound(orders, earlier, formulation, law))
-        return max(implied, 1.0) if implied > _FAR_FROM_CONVERGED else implied
+        return stated(max(growth * claims[0].floor, implied_bound(orders, earlier, formulation, law)))
     nearest = earlier[max(earlier)]
     if nearest > _NOT_CONVERGING:
         return nearest
@@ -324,6 +323,11 @@ def implied_bound(
     nearest = sorted(earlier)[-_NEAREST:]
     implied = (min(1.0, _ATYPICAL * typical[orders] / typical[count]) * earlier[count] for count in nearest)
     return max(0.0 if law is None else law.bound(orders, earlier), alone * _MARGIN * max(implied))
+
+
+def stated(implied: float) -> float:
+    """Bound on an error from an implied one: at least 1 where that is too large for truncations that converge."""
+    return max(implied, 1.0) if implied > _FAR_FROM_CONVERGED else implied
 
 
 def unresolved(cell: PillarCell, orders: int) -> float:

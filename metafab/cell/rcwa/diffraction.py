@@ -18,7 +18,7 @@ import numpy as np
 from metafab.cell.pillar import PillarCell
 from metafab.cell.rcwa.basis.axis import AxisParity
 from metafab.cell.rcwa.basis.coordinates import Formulation, IntArray
-from metafab.cell.rcwa.certificate import implied_bound, ladder, power_law, unresolved
+from metafab.cell.rcwa.certificate import implied_bound, ladder, power_law, stated, unresolved
 from metafab.cell.rcwa.jones import one_thread, solved_classes
 from metafab.cell.rcwa.slicing import slicing, smooth_array
 from metafab.cell.rcwa.symmetry import in_plane_per_nm
@@ -72,7 +72,7 @@ def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Di
         solved[orders] = smooth_array(cell, cut.steps, partial(_listed, cell, orders, numerics.formulation, sides))
         if len(solved) > 1 and orders >= farthest:
             changes = {count: float(np.abs(solved[orders] - solved[count]).max()) for count in sorted(solved)[:-1]}
-            error = implied_bound(orders, changes, numerics.formulation, law) + 2.0 * cut.error
+            error = stated(implied_bound(orders, changes, numerics.formulation, law)) + 2.0 * cut.error
             error = max(error, unresolved(cell, orders))
         if error <= numerics.target_error:
             break
