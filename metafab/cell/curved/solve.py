@@ -38,7 +38,8 @@ _CLAIMS = {4: (4e-3, 1.5), 5: (5e-4, 2.0), 6: (2e-4, 1.5), 7: (1e-4, 1.5), 8: (6
 #: but 0.73 of it in a pillar of index 4.1.
 _CLAIMS_ROUNDED = {**_CLAIMS, 4: (6e-4, 0.5), 5: (5e-4, 2.0)}
 #: Polynomial order of rounded rectangles -> factor from the next change of a geometric series to the bound; and the
-#: largest index for which it was measured, on 18 random ones: that pillar of index 4.1 is off by 37 times that change.
+#: largest index in the cell for which it was measured, on 18 random ones: that pillar of index 4.1 is off by 37 times
+#: that change.
 _SHRINKING, _SHRINKING_INDEX = {5: 8.0}, 3.0
 #: The same of rings. On 30 random ones the errors of orders 4, 5 and 6 against order 8 were at most 0.53, 1.1 and 2.1
 #: of the last change; on 100 others that of order 4 was 1.34 of it beside a resonance, and 3.7 at a change of 0.16; on
@@ -91,7 +92,7 @@ def solve(
         solved.append(known[order, 1])
         if len(solved) > 1:
             changes.append(distance(solved[-1], solved[-2]))
-            error = _bound(order, changes, cell)
+            error = bound(order, changes, cell)
             if error <= numerics.target_error:
                 break
     last = solved[-1]
@@ -120,11 +121,12 @@ def solve(
     )
 
 
-def _bound(order: int, changes: list[float], cell: PillarCell) -> float:
-    """Bound on the error of ``order`` from the changes up to it."""
+def bound(order: int, changes: list[float], cell: PillarCell) -> float:
+    """Bound on the error of a polynomial order of ``cell`` from the changes up to it, one or more."""
     floor, share = {"rectangle": _CLAIMS_ROUNDED, "ring": _CLAIMS_RING}.get(cell.shape, _CLAIMS)[order]
     implied = share * changes[-1]
-    densest = max(abs(n) for n in (cell.n_pillar, *(each.n_inside for each in (*cell.under, *cell.over))))
+    layers = [n for each in (*cell.under, *cell.over) for n in (each.n_inside, each.n_around)]
+    densest = max(abs(n) for n in (cell.n_pillar, cell.n_ambient, *cell.n_substrate, *layers))
     is_rounded = cell.shape == "rectangle" and densest <= _SHRINKING_INDEX
     if is_rounded and order in _SHRINKING and len(changes) > 1 and changes[-2] > 0.0:
         implied = min(implied, _SHRINKING[order] * changes[-1] ** 2 / changes[-2])

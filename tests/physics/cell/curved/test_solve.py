@@ -91,6 +91,15 @@ def test_the_bound_of_a_rounded_rectangle_holds_on_a_resonance() -> None:
     assert response.converged
 
 
+def test_shrinking_changes_certify_nothing_about_holes_in_silicon() -> None:
+    """The densest medium counts, wherever it is: order 5 states twice its change."""
+    hole = PillarCell((400.0, 400.0), 200.0, 260.0, 700.0, 1.0, (1.46, 1.46), 3.5, 900.0, corner_radius_nm=20.0)
+    response = solve(hole, CellNumerics(1e-9, max_orders=5))
+    changes = [distance(zero_order(hole, 5), zero_order(hole, 4)), distance(zero_order(hole, 4), zero_order(hole, 3))]
+    assert response.error == max(5e-4, 2.0 * changes[0])
+    assert response.error > max(5e-4, 8.0 * changes[0] ** 2 / changes[1])
+
+
 def test_elements_of_a_rounded_rectangle_have_the_orders_of_the_light_in_them() -> None:
     """Shorter waves raise the orders; elements that share a side agree, whatever the order of the mesh."""
     cell = PillarCell((400.0, 300.0), 180.0, 140.0, 700.0, 3.5, (1.46, 1.46), 1.0, 650.0, corner_radius_nm=20.0)
