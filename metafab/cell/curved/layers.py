@@ -130,7 +130,7 @@ def order_efficiencies(cell: PillarCell, order: int, sides: Sequence[Sequence[tu
         sides: transmitted and reflected orders (m, n), of the centred cell of two rows in a hexagonal lattice.
 
     Returns:
-        Shape (n_orders, 2).
+        Shape (n_orders, 2); 0 where an order propagates for the other light alone.
     """
     length_nm = cell.period_nm[0], cell.period_nm[1] * (2 if cell.is_staggered else 1)
     powers: list[list[float]] = []
@@ -141,6 +141,10 @@ def order_efficiencies(cell: PillarCell, order: int, sides: Sequence[Sequence[tu
             for field, n, side in zip(fields, (cell.n_out[axis], cell.n_in[axis]), sides, strict=True):
                 for number in side:
                     k = 2.0 * math.pi * np.divide(number, length_nm)
+                    k_z_squared = (complex(n).real * cell.k0_per_nm) ** 2 - float(k @ k)
+                    if k_z_squared <= 0.0:
+                        powers[-1].append(0.0)
+                        continue
                     amplitude = np.zeros(2, dtype=np.complex128)
                     for each in functions.elements:
                         (cos_x, cos_y), (sin_x, sin_y) = np.cos(k[:, None] * each.at), np.sin(k[:, None] * each.at)
@@ -149,7 +153,7 @@ def order_efficiencies(cell: PillarCell, order: int, sides: Sequence[Sequence[tu
                             wave = cos_x * cos_y if of_axis == axis else -sin_x * sin_y
                             amplitude[of_axis] += field[each.place] @ (each.e[of_axis] @ (each.weight * wave))
                     amplitude /= of.area_nm2
-                    k_z = math.sqrt((complex(n).real * cell.k0_per_nm) ** 2 - float(k @ k))
+                    k_z = math.sqrt(k_z_squared)
                     power = k_z * np.vdot(amplitude, amplitude).real + abs(k @ amplitude) ** 2 / k_z
                     powers[-1].append(float(power) / (cell.k0_per_nm * complex(cell.n_in[axis]).real))
     return np.array(powers).T
