@@ -28,9 +28,9 @@ from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
 from metafab.core.errors import InputError, SolverError
 
 #: Bound on the error of a light's amplitudes: a share of their last change, and at least this floor over the
-#: square of the resolution (two resolutions may agree by accident). Measured on rows and single cells. The error of
-#: circles was up to 1.5 of the last change.
-_SHARE, _SHARE_CURVED, _FLOOR = 0.5, 1.5, 0.075
+#: square of the resolution (two resolutions may agree by accident). Measured on rows and single cells. The error of a
+#: row of circles was up to 1.53 of the last change.
+_SHARE, _SHARE_CURVED, _FLOOR = 0.5, 2.0, 0.075
 #: Most functions of a layer: ten complex matrices of twice this size fill 4 GB.
 _MOST_FUNCTIONS = 5000
 #: Target error of each pillar in its own periodic cell.
@@ -179,12 +179,16 @@ def _feasible(supercell: Supercell, resolutions: tuple[float, ...]) -> list[floa
             return count_functions(turned, resolution)
         return basis_of(turned, "x", resolution, mirrored=_is_mirrored(turned)).sizes[0]
 
+    is_curved = supercell.cell.is_shaped
     for shift in (0.0, 0.5, 1.0):
-        feasible = [each - shift for each in resolutions if count(each - shift) <= _MOST_FUNCTIONS]
+        # Curved elements have whole orders: two resolutions of one order would agree whatever the error.
+        tried = sorted({math.floor(each - shift) if is_curved else each - shift for each in resolutions})
+        feasible = [each for each in tried if count(each) <= _MOST_FUNCTIONS]
         if len(feasible) >= 2:
             return feasible
     got = f"{supercell.shape[1]} x {supercell.shape[0]} pillars"
-    expected = f"a supercell of at most {_MOST_FUNCTIONS} functions (5 x 5 pillars, or a row of 60)"
+    most = "4 x 4 pillars, or a row of 22" if is_curved else "5 x 5 pillars, or a row of 60"
+    expected = f"a supercell of at most {_MOST_FUNCTIONS} functions ({most})"
     raise InputError.single("supercell", "size_nm", expected, got, "use meep, or the library's model")
 
 
