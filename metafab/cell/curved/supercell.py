@@ -48,7 +48,7 @@ def count_functions(supercell: Supercell, resolution: float) -> int:
 
 
 def curved_layer(supercell: Supercell, lights: Sequence[Polarisation], resolution: float, order: IntArray) -> Layer:
-    """Layer of a row along x for one light, or of a block for several.
+    """Layer of a row along x for one light, or of a block for one or both.
 
     Args:
         supercell: ellipses.
@@ -61,10 +61,11 @@ def curved_layer(supercell: Supercell, lights: Sequence[Polarisation], resolutio
     """
     mesh, cell = supercell_mesh(supercell), supercell.cell
     functions = functions_of(mesh, lights[0], polynomial_order(resolution))
-    axes = [POLARISATIONS.index(light) for light in lights]
+    # A block holds the uniform fields of both lights, whatever the incident one.
+    axes = [0, 1] if all(mesh.repeats) else [POLARISATIONS.index(lights[0])]
     of = MeshMatrices.of(functions, axes)
     (k_tm, tm), (k_te, te) = of.waves()
-    count = len(lights)
+    count = len(axes)
     uniform = np.zeros((2, len(of.e)))
     uniform[axes] = te[:, :count].T
     orders = np.zeros((len(order), 2, len(of.e)), dtype=np.complex128)
@@ -73,7 +74,7 @@ def curved_layer(supercell: Supercell, lights: Sequence[Polarisation], resolutio
         x, y = np.exp(-1j * np.outer(k[:, 0], each.at[0])), np.exp(-1j * np.outer(k[:, 1], each.at[1]))
         for axis in range(2):
             # Over both halves of a row: the light's component is even about its axis, the other one odd.
-            along_y = y if len(lights) > 1 or all(mesh.repeats) else y.real if axis == axes[0] else 1j * y.imag
+            along_y = y if all(mesh.repeats) else y.real if axis == axes[0] else 1j * y.imag
             orders[:, axis, each.place] += (x * along_y * each.weight) @ each.e[axis].T
     p, q = of.of_layer(Slice(cell.height_nm, cell.n_pillar, cell.n_ambient), cell.k0_per_nm)
     waves = RealWaves(k_tm, tm.T), RealWaves(k_te[count:], te[:, count:].T)
