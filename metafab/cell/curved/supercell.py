@@ -99,7 +99,8 @@ def supercell_mesh(supercell: Supercell) -> QuarterMesh:
             faults = [Fault("shape", "rectangles, circles or ellipses for supercells by rcwa", outline)]
         if faults:
             raise InputError("supercell", [replace(fault, remedy="use meep") for fault in faults])
-        middle = (column + 0.5 - n_x / 2) * period[0], (row + 0.5 - n_y / 2) * period[1]
+        # Phases count from the middle of the supercell: that of the first of two equal sites.
+        middle = (column + 0.5 - supercell.shape[1] / 2) * period[0], (row + 0.5 - n_y / 2) * period[1]
         quads += _site(cell, middle, solid=solid, is_half=is_row)
     ends = n_x * period[0], (0.5 if is_row else n_y) * period[1]
     return QuarterMesh(tuple(quads), ends, repeats=(True, not is_row))

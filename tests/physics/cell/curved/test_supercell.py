@@ -49,6 +49,20 @@ def test_a_block_of_two_equal_rows_is_one_row() -> None:
     assert np.linalg.norm(one - two[of_row]) < 2e-2 * np.linalg.norm(one)
     assert np.abs(two[~of_row]).max() < 1e-9
     assert np.abs(two[:, [0, 1], [1, 0]]).max() < 1e-9, "a mirror keeps y light out of x light"
+    for axis, light in enumerate(POLARISATIONS):
+        alone = orders_at(block, (light,), COARSE)
+        np.testing.assert_allclose(alone[..., 0], two[..., axis], atol=1e-9)
+
+
+def test_orders_of_one_circle_have_phases_from_its_middle() -> None:
+    """Two equal circles stand half a period beside the middle: their order 2 m turns by (-1)^m."""
+    wide = replace(CELL, period_nm=(700.0, 350.0))
+    one, two = (_row(*[(180.0, 180.0)] * count, cell=wide) for count in (1, 2))
+    t_one, t_two = (orders_at(each, ("x",), COARSE)[:, 0, 0] for each in (one, two))
+    m, even = one.propagating_orders("x")[:, 0], two.propagating_orders("x")[:, 0] % 2 == 0
+    np.testing.assert_allclose(t_one, t_two[even] * (-1.0) ** m, atol=1e-9)
+    np.testing.assert_array_equal(m, [-1, 0, 1])
+    assert np.abs(t_one).min() > 0.05
 
 
 def test_a_row_along_y_is_the_row_along_x_with_the_lights_exchanged() -> None:
@@ -98,6 +112,18 @@ def test_derivatives_by_the_sizes_of_circles_are_refused_by_name() -> None:
     order = _row(*RAMP).propagating_orders("x")
     with pytest.raises(InputError, match="circles or ellipses"):
         order_gradients(_row(*RAMP), "x", COARSE, np.zeros((1, len(order), 2), dtype=complex))
+
+
+def test_resolutions_of_one_order_are_one() -> None:
+    """Orders are whole numbers: 2.2 and 2.6 are both order 3, and agree whatever their error."""
+    row = _row(*RAMP[:2])
+    fine, whole = (supercell_orders(row, ElementNumerics(1e-9, each)) for each in ((1.4, 2.2, 2.6), (1.0, 2.0)))
+    assert fine.error == whole.error > 1e-2
+
+
+def test_too_many_circles_are_refused_with_what_is_possible() -> None:
+    with pytest.raises(InputError, match="4 x 4 pillars, or a row of 22"):
+        supercell_orders(_row(*[(150.0, 150.0)] * 23))
 
 
 def test_touching_circles_are_sent_to_meep() -> None:
