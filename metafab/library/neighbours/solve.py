@@ -116,7 +116,7 @@ def _half_line(model: LineModel, terms: FloatArray, half: int) -> tuple[ComplexA
     return folded.reshape(lines, half * modes, half * modes), source.reshape(lines, -1, 1)
 
 
-def _folded(values: ComplexArray, half: int, parity: FloatArray | float) -> ComplexArray:
+def _folded(values: ComplexArray, half: int, parity: FloatArray) -> ComplexArray:
     """Values of the first ``half`` sites plus those of their mirror images, shape (..., n, modes)."""
     folded = values[..., :half, :].copy()
     folded[..., : values.shape[-2] - half, :] += values[..., : half - 1 : -1, :] * parity
