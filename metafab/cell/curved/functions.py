@@ -22,6 +22,8 @@ from metafab.core.conventions import POLARISATIONS, FloatArray, Polarisation
 _NODES = 5
 #: Digits after the point, nm, to which two elements must agree on a common vertex.
 _DIGITS = 6
+#: The same of shares of a period.
+_SHARE_DIGITS = 9
 
 #: Numbers of functions, -1 for those that are left out, and the factor from each to the function of an element.
 _Numbers = tuple[IntArray, FloatArray]
@@ -135,12 +137,12 @@ class _Numbering:
     def _side(self, begin: Point, end: Point, order: int) -> tuple[IntArray, IntArray, float]:
         (one, sign), (other, of_end) = self._canonical(begin), self._canonical(end)
         if self._is_on_cut(begin) and self._is_on_cut(end):
-            sign = min(sign, of_end)  # the middle of a turn is its own image
+            sign, sense = min(sign, of_end), one < other  # the middle of a turn is its own image
         else:
-            one, other, sign = _rounded(begin), _rounded(end), 1.0
-        # In a period of one site, two sides with the same ends run in opposite senses.
-        sense = one < other
-        ends = self._repeated(one), self._repeated(other)
+            one, other, sign = self._repeated(begin), self._repeated(end), 1.0
+            # In a period of two sites, two sides with the same ends run in opposite senses.
+            sense = _rounded(begin) < _rounded(end)
+        ends = one, other
         if (*ends, sense) not in self._sides:
             if (*ends[::-1], not sense) in self._sides:
                 raise ValueError(f"the side from {one} to {other} runs against that of its neighbour")
@@ -168,8 +170,9 @@ class _Numbering:
 
     def _repeated(self, point: Point) -> Point:
         """The point in the first period that has the functions of ``point``."""
+        # Shares of the period are rounded, not lengths: of a rounded length, the period need not be a multiple.
         x, y = (
-            (round(at, _DIGITS) + 0.0) % round(period, _DIGITS) if repeats else at
+            round(at / period, _SHARE_DIGITS) % 1.0 * period if repeats else at
             for at, period, repeats in zip(point, self._mesh.half_nm, self._mesh.repeats, strict=True)
         )
         return _rounded((x, y))

@@ -80,6 +80,13 @@ def test_a_mirrored_row_mirrors_its_orders_and_a_moved_one_turns_their_phases() 
     assert np.abs(here[0] - here[-1]).max() > 0.05
 
 
+def test_a_period_of_many_digits_is_closed() -> None:
+    """Twice 350.0000004 nm rounds to another length than twice its rounded value; no seam may come of it."""
+    odd = replace(CELL, period_nm=(350.0000004, 350.0))
+    here, there = (orders_at(_row(*RAMP[:2], cell=cell), POLARISATIONS, COARSE) for cell in (CELL, odd))
+    np.testing.assert_allclose(there, here, atol=1e-6)
+
+
 def test_a_lossless_row_transmits_equal_power_from_both_sides() -> None:
     """Reciprocity of the zero order; and no more light leaves than came in."""
     row, back = (_row(*RAMP, cell=replace(CELL, side=side)) for side in ("substrate", "ambient"))
