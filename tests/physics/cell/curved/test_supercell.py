@@ -27,7 +27,7 @@ def _row(*sizes: tuple[float, float], cell: PillarCell = CELL) -> Supercell:
 
 def test_one_ellipse_is_its_certified_cell() -> None:
     """Whose mesh is another one, of a quarter of the cell. The bound is that of two orders of the supercell's mesh."""
-    found = supercell_orders(_row((200.0, 160.0)), ElementNumerics(0.1, (2.0, 3.0)))
+    found = supercell_orders(_row((200.0, 160.0)), ElementNumerics(1e-9, (3.0, 4.0)))
     own = solve(replace(CELL, width_nm=200.0, length_nm=160.0), CellNumerics(2e-3))
     assert np.linalg.norm(found.t[0] - own.t) < own.error + found.error * np.linalg.norm(found.t)
     assert found.error < 6e-2
