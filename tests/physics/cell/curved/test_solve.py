@@ -117,3 +117,16 @@ def test_a_rounded_rectangle_may_be_certified_by_how_fast_its_changes_shrink() -
     assert response.resolution == zero_order(cell, 5).coefficients
     assert distance(response, zero_order(cell, 4)) > 4.0 * response.error
     assert distance(response, zero_order(cell, 6)) <= 0.5 * response.error
+
+
+def test_a_dense_film_needs_orders_that_resolve_its_waves() -> None:
+    """2.4 wavelengths in the film: orders 4 and 5 agree within 1.8e-4, and both are off by 1.3e-3."""
+    film = Slice(128.185, 3.7631, 3.7631)
+    cell = PillarCell(
+        (577.550, 565.500), 70.4374, 117.7682, 1084.496, 2.24641, (1.0, 1.0), 1.0, 895.6652, "substrate",
+        under=(film,), shape="ellipse",
+    )  # fmt: skip
+    fine = zero_order(cell, 9)
+    assert distance(zero_order(cell, 5), fine) > 1e-3
+    response = solve(cell, CellNumerics(1e-3))
+    assert 1.4 * distance(response, fine) <= response.error <= 1e-3
