@@ -65,21 +65,6 @@ def test_orders_of_one_circle_have_phases_from_its_middle() -> None:
     assert np.abs(t_one).min() > 0.05
 
 
-def test_a_row_along_y_is_the_row_along_x_with_the_lights_exchanged() -> None:
-    along_x, along_y = (orders_at(each, POLARISATIONS, COARSE) for each in (_row(*RAMP), _row(*RAMP).exchanged()))
-    np.testing.assert_array_equal(along_y, along_x[:, ::-1, ::-1])
-
-
-def test_a_mirrored_row_mirrors_its_orders_and_a_moved_one_turns_their_phases() -> None:
-    order = _row(*RAMP).propagating_orders("x")[:, 0]
-    here, mirrored, moved = (
-        orders_at(_row(*sizes), ("y",), COARSE) for sizes in (RAMP, RAMP[::-1], RAMP[-1:] + RAMP[:-1])
-    )
-    np.testing.assert_allclose(mirrored, here[::-1], atol=1e-9)
-    np.testing.assert_allclose(moved[:, 1, 0], here[:, 1, 0] * np.exp(-2j * np.pi * order / 3.0), atol=1e-9)
-    assert np.abs(here[0] - here[-1]).max() > 0.05
-
-
 def test_a_period_of_many_digits_is_closed() -> None:
     """Twice 350.0000004 nm rounds to another length than twice its rounded value; no seam may come of it."""
     odd = replace(CELL, period_nm=(350.0000004, 350.0))

@@ -59,21 +59,6 @@ def test_a_block_of_two_equal_rows_is_one_row() -> None:
     )
 
 
-def test_a_row_along_y_is_the_row_along_x_with_the_lights_exchanged() -> None:
-    along_x, along_y = (orders_at(each, POLARISATIONS, COARSE) for each in (_row(*RAMP), _row(*RAMP).exchanged()))
-    np.testing.assert_array_equal(along_y, along_x[:, ::-1, ::-1])
-
-
-def test_a_mirrored_row_mirrors_its_orders_and_a_moved_one_turns_their_phases() -> None:
-    order = _row(*RAMP).propagating_orders("x")[:, 0]
-    here, mirrored, moved = (
-        orders_at(_row(*sizes), ("y",), COARSE) for sizes in (RAMP, RAMP[::-1], RAMP[-1:] + RAMP[:-1])
-    )
-    np.testing.assert_allclose(mirrored, here[::-1], atol=1e-9)
-    np.testing.assert_allclose(moved[:, 1, 0], here[:, 1, 0] * np.exp(-2j * np.pi * order / 3.0), atol=1e-9)
-    assert np.abs(here[0] - here[-1]).max() > 0.05
-
-
 @pytest.mark.parametrize("light", POLARISATIONS)
 @pytest.mark.parametrize("sizes", [[RAMP[0], RAMP[1], RAMP[0]], [RAMP[0], RAMP[2], RAMP[2], RAMP[0]]])
 def test_a_row_that_is_its_own_mirror_image_needs_half_of_the_functions(
