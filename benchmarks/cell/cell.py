@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.cell.fourier_limit import fourier_limit
-from metafab.cell import CellNumerics, PillarCell
+from metafab.cell import CellNumerics, PillarCell, solve_many
 from metafab.cell.rcwa import solve, zero_order
 from metafab.cell.rcwa.basis.coordinates import Formulation
 from metafab.cell.rcwa.jones import ZeroOrder, distance
@@ -48,7 +48,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
     table = [_certified(target, cells, references) for target in TARGETS]
     table += [_truncated("adaptive", m, cells, references) for m in TRUNCATIONS]
     table += [_truncated("fourier", m, cells, references) for m in ((5, 8) if quick else (5, 9, 15))]
-    return [*table, _extrapolated(cells, references), *_peers(quick)]
+    return [*table, _extrapolated(cells, references), *_many(quick), *_peers(quick)]
 
 
 def _cell(width_nm: float, length_nm: float) -> PillarCell:
@@ -81,6 +81,28 @@ def _extrapolated(cells: Sequence[PillarCell], references: Sequence[ZeroOrder]) 
     worst = max(error / answer.error for error, answer in zip(errors, answers, strict=True))
     name = "rcwa, fourier, extrapolated from 8 to 12 cosines"
     return _row(name, "metafab, Li's rules", max(errors), seconds, worst_error_over_bound=worst)
+
+
+def _many(quick: bool) -> list[dict[str, Any]]:
+    """A hundred pillars certified to 1e-3 in one call: of random sizes, and of ten widths by ten lengths.
+
+    ``error`` is the largest bound; ``seconds`` the processor time of all processes, ``wall_seconds`` the clock's.
+    """
+    side = 3 if quick else 10
+    axis, drawn = np.linspace(100.0, 250.0, side), np.random.default_rng(1).uniform(100.0, 250.0, (side * side, 2))
+    sets = {"random sizes": drawn.tolist(), "widths by lengths": [(w, length) for w in axis for length in axis]}
+    table = []
+    for name, sizes_nm in sets.items():
+        cells = [_cell(*size_nm) for size_nm in sizes_nm]
+        solve(cells[0])  # warm-up
+        start, spent = time.perf_counter(), sum(os.times()[:4])
+        answers = list(solve_many(cells))
+        wall, spent = time.perf_counter() - start, sum(os.times()[:4]) - spent
+        error = max(answer.error for answer in answers)
+        solved = sum(answer.seconds > 0.0 for answer in answers)
+        label = f"{len(cells)} pillars in one call, {name}"
+        table.append(_row(label, None, error, spent, wall_seconds=wall, cells_solved=solved))
+    return table
 
 
 def _peers(quick: bool) -> list[dict[str, Any]]:
@@ -154,7 +176,7 @@ def _timed(call: Callable[[PillarCell], Any], cells: Sequence[PillarCell]) -> tu
     return answers, float(np.median(seconds))
 
 
-def _row(name: str, series: str, error: float, seconds: float, **more: float) -> dict[str, Any]:
+def _row(name: str, series: str | None, error: float, seconds: float, **more: float) -> dict[str, Any]:
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
     return {"name": name, "series": series, "error": error, "seconds": seconds, "peak_rss_mb": peak_mb, **more}
 

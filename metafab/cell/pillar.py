@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Container
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from metafab.core.conventions import Side
@@ -129,6 +129,27 @@ class PillarCell:
         grown = 2.0 * (stated - height_share) * self.height_nm / math.tan(math.radians(self.sidewall_angle_deg))
         width = self.width_nm if self.width_nm == self.period_nm[0] else self.width_nm + grown
         return width, self.length_nm if self.length_nm == self.period_nm[1] else self.length_nm + grown
+
+    def exchanged(self) -> PillarCell | None:
+        """The cell with x and y exchanged, whose polarisations exchange with them; None where rows or light have one.
+
+        Rows of a hexagonal lattice run along x, and slanting light has an azimuth.
+        """
+        if self.is_staggered or self.angle_deg != 0.0:
+            return None
+        under, over = (
+            tuple(replace(each, width_nm=each.length_nm, length_nm=each.width_nm) for each in layers)
+            for layers in (self.under, self.over)
+        )
+        return replace(
+            self,
+            period_nm=self.period_nm[::-1],
+            width_nm=self.length_nm,
+            length_nm=self.width_nm,
+            n_substrate=self.n_substrate[::-1],
+            under=under,
+            over=over,
+        )
 
     def untreated(self, purpose: str, treated: Container[str] = (), remedy: str = "") -> list[Fault]:
         """Faults of a cell that is more than an upright rectangle under light along the axis.

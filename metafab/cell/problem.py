@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 
@@ -13,7 +14,8 @@ from metafab.cell.rcwa.jones import ZeroOrder
 from metafab.cell.response import CellNumerics, CellResponse
 from metafab.cell.validation import check, check_numerics
 from metafab.core.errors import Fault, InputError
-from metafab.core.parallel.executor import SerialExecutor, stream
+from metafab.core.parallel.executor import default_workers, open_executor, stream
+from metafab.core.parallel.processes import can_fork
 from metafab.core.parallel.progress import Progress, silent
 from metafab.materials import refractive_index
 from metafab.spec.cell import Material, UnitCell
@@ -130,19 +132,31 @@ def solve_many(
     executor: Executor | None = None,
     progress: Progress = silent,
     *,
-    batch: int = 16,
+    batch: int = 4,
 ) -> Iterator[CellResponse]:
-    """Solve cells in batches of ``batch`` over an executor (None: this process); yield the responses as they finish.
+    """Solve cells in batches of ``batch`` over an executor; yield one response for each cell, as they finish.
 
-    ``progress`` is called after every batch. Errors as :func:`solve`.
+    Equal cells, and cells that are equal once x and y are exchanged, are solved once. ``executor`` is by default
+    processes on all cores for more than one batch where they can be forked, else this process. ``progress`` is called
+    after every batch. Errors as :func:`solve`.
     """
-    todo = list(cells)
-    batches = [todo[start : start + batch] for start in range(0, len(todo), batch)]
-    done = 0
-    for _, responses in stream(executor or SerialExecutor(), partial(_solve_batch, numerics=numerics), batches):
-        done += len(responses)
-        progress("cells", done, len(todo))
-        yield from responses
+    alike: dict[PillarCell, list[PillarCell]] = {}
+    for cell in cells:
+        image = cell.exchanged()
+        alike.setdefault(image if image is not None and image in alike else cell, []).append(cell)
+    distinct, total, done = list(alike), sum(map(len, alike.values())), 0
+    batches = [distinct[start : start + batch] for start in range(0, len(distinct), batch)]
+    with ExitStack() as opened:
+        if executor is None:
+            workers = default_workers() if len(batches) > 1 and can_fork() else 1
+            executor = opened.enter_context(open_executor(workers))
+        for _, responses in stream(executor, partial(_solve_batch, numerics=numerics), batches):
+            done += sum(len(alike[response.cell]) for response in responses)
+            progress("cells", done, total)
+            for response in responses:
+                yield from (
+                    response if cell == response.cell else response.exchanged() for cell in alike[response.cell]
+                )
 
 
 def _solve_batch(cells: list[PillarCell], numerics: CellNumerics) -> list[CellResponse]:

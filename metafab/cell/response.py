@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, Protocol, Self
 
 import numpy as np
 
@@ -38,6 +38,13 @@ class CellNumerics:
 class SolverDetails:
     """Base class of the solver-specific figures of a response."""
 
+    def exchanged(self) -> Self:
+        """The figures with those of x and y, which end in ``_x`` and ``_y``, exchanged."""
+        ends = {"_x": "_y", "_y": "_x"}
+        return replace(
+            self, **{name[:-2] + ends[name[-2:]]: value for name, value in vars(self).items() if name[-2:] in ends}
+        )
+
 
 @dataclass(frozen=True, repr=False)
 class CellResponse(Displayed):
@@ -66,6 +73,14 @@ class CellResponse(Displayed):
     resolution: int
     seconds: float
     details: SolverDetails = SolverDetails()
+
+    def exchanged(self) -> CellResponse:
+        """Response of :meth:`~metafab.cell.PillarCell.exchanged` of the cell, in no time; ValueError if it has none."""
+        cell = self.cell.exchanged()
+        if cell is None:
+            raise ValueError(f"`cell`: expected one whose axes may be exchanged, got {self.cell}")
+        t, r = self.t[::-1, ::-1], self.r[::-1, ::-1]
+        return replace(self, cell=cell, t=t, r=r, seconds=0.0, details=self.details.exchanged())
 
     @property
     def transmittance(self) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 from metafab.cell import CellNumerics, Slice, pillar_cell, solve, solve_many
 from metafab.cell.problem import check
 from metafab.core.errors import InputError
+from metafab.core.parallel.executor import SerialExecutor
 from metafab.library.library import inputs_of
 from metafab.spec import UnitCell, canonical_toml, load_unit_cell
 
@@ -112,6 +114,28 @@ def test_many_cells_come_back_with_their_cells(unit_cell: UnitCell) -> None:
     assert seen[-1] == 3
     for response in responses:
         np.testing.assert_array_equal(response.t, solve(response.cell, CellNumerics(1e-2)).t)
+
+
+def test_equal_and_exchanged_cells_are_solved_once(unit_cell: UnitCell) -> None:
+    film = (Slice(50.0, 1.45, 1.45), Slice(60.0, 2.0, 1.0, 140.0, 90.0))
+    plain = [pillar_cell(unit_cell, *size_nm) for size_nm in ((110.0, 150.0), (150.0, 110.0), (110.0, 150.0))]
+    lifted = replace(plain[0], period_nm=(350.0, 320.0), n_substrate=(1.76, 1.752), under=film)
+    slanting = [replace(cell, angle_deg=10.0) for cell in plain[:2]]
+    cells = [*plain, pillar_cell(unit_cell, 130.0, 130.0), lifted, lifted.exchanged(), *slanting]
+    responses = list(solve_many(cells, CellNumerics(1e-2), SerialExecutor(), batch=3))
+    assert Counter(response.cell for response in responses) == Counter(cells)
+    # One answer in no time for each exchanged cell; an equal one is the same answer.
+    assert sum(response.seconds == 0.0 for response in responses) == 2
+    for response in responses:
+        alone = solve(response.cell, CellNumerics(1e-2))
+        np.testing.assert_allclose(response.t, alone.t, atol=1e-9)
+        np.testing.assert_allclose(response.r, alone.r, atol=1e-9)
+        np.testing.assert_allclose(response.transmittance, alone.transmittance, atol=1e-9)
+        for name in ("transmitted_power_x", "reflected_power_y"):
+            assert getattr(response.details, name) == pytest.approx(getattr(alone.details, name), abs=1e-9)
+        assert response.error == pytest.approx(alone.error, rel=1e-4)
+    with pytest.raises(ValueError, match="axes may be exchanged"):
+        solve(slanting[0], CellNumerics(1e-2)).exchanged()
 
 
 def test_slopes_leave_empty_cells_and_closed_axes_alone(unit_cell: UnitCell) -> None:
