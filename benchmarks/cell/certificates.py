@@ -214,13 +214,14 @@ def _references(
 
 
 def _finest_answer(cell: PillarCell, *, deep: bool) -> int:
-    """Largest truncation of answers."""
+    """Largest truncation of answers; at least the one from which a power law says anything."""
     if curved.is_treated(cell):
         return _ELEMENT_ORDER + deep
     if cell.is_sloped:
         return _SLOPED_ORDERS
-    most_s = _ANSWER_S * (_DEEP_TIME if deep else 1.0)
-    return max((rung for rung in _RUNGS if _seconds(rung, cell) <= most_s), default=_RUNGS[0])
+    most_s, law = _ANSWER_S * (_DEEP_TIME if deep else 1.0), power_law(cell)
+    least = _RUNGS[0] if law is None else law.from_orders
+    return max(rung for rung in _RUNGS if rung <= least or _seconds(rung, cell) <= most_s)
 
 
 def draw(seed: int, number: int, kind: str | None = None) -> tuple[str, PillarCell]:

@@ -54,6 +54,13 @@ def test_an_answer_is_broken_beyond_the_error_of_its_reference() -> None:
     assert not replace(CASE, stated=math.inf).judged
 
 
+def test_ellipses_under_light_at_an_angle_are_judged() -> None:
+    """Their power law says nothing below 7 cosines."""
+    cases = list(certificates.judge(300, 655))
+    assert [case.kind for case in cases] == ["shapes at an angle"] * 3
+    assert all(case.judged and case.truncation == 7 for case in cases)
+
+
 def test_answers_are_kept_by_seed_and_number(monkeypatch: pytest.MonkeyPatch) -> None:
     first = list(audit(3, 3))
     assert [case.target_error for case in first] == list(TARGETS)
