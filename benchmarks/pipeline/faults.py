@@ -6,9 +6,11 @@ with the counts in one row for each kind of fault:
 - *kills*: ``kill -9`` at random times, of a run and of a library build in turn; processes that outlive their parent by
   2 s, results that differ from the undisturbed ones, and bytes of the run that goes on from there
 - *killed workers*: a worker of a library build; bytes of the library
+- *cluster*: the scheduler of a Dask cluster killed and ended, and its only worker killed and replaced; time until the
+  build says so, and bytes of the library that goes on from there
 - *second run*: a run in the folder of another; it names the owner and touches nothing
 - *other place*: the project copied to a deeper folder, and run there
-- *damaged files*: every file of the run folder, in one to four ways; the run after it, and ``metafab report``
+- *damaged files*: every file of the run folder, in one to six ways; the run after it, and ``metafab report``
 - *full disk*: file systems in memory of 64 kB to 2 MB; then the run on one that is large enough
 - *read-only folder*: a file system that cannot be written
 
@@ -18,6 +20,7 @@ row names it. File systems need Linux and the right to mount; without, these row
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import resource
@@ -30,6 +33,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +44,8 @@ REPOSITORY = Path(__file__).parents[2]
 TIMED = {"summary.json", ".run.lock"}
 #: Time, s, by which no process may outlive its parent.
 OUTLIVED_S = 2.0
+#: Times, s, by which a build ends whose scheduler went away, and by which one says that all workers went.
+SCHEDULER_S, WORKERS_S = 10.0, 40.0
 #: Changes of the camera of ``metafab new`` that make a run take seconds.
 _SMALLER = (
     ("aperture_um = 200.0", "aperture_um = 30.0"),
@@ -96,6 +102,7 @@ def rows(quick: bool, seed: int = 0, samples: int | None = None) -> list[dict[st
         groups = {
             "kills": list(_killed(project, results, whole_s, kills, random.Random(seed))),
             "killed workers": list(_killed_workers(project, results["cell.h5"], 1 if quick else 5)),
+            "cluster": list(_cluster()),
             "second run": list(_second_runs(project, 1 if quick else 5)),
             "other place": list(_other_place(project, results)),
             "damaged files": list(_damaged(project, results, quick=quick)),
@@ -191,6 +198,53 @@ def _killed_workers(project: Project, expected: bytes, count: int) -> Iterator[C
             yield Case(f"worker {number}", time.perf_counter() - start, tuple(faults))
 
 
+def _cluster() -> Iterator[Case]:
+    """Take scheduler or worker from a library build on a Dask cluster of one worker; then let the build end."""
+    if find_spec("distributed") is None:
+        return
+    with tempfile.TemporaryDirectory() as name:
+        folder, cell = Path(name), str(REPOSITORY / "unitcell_lib" / "sos_800nm.toml")
+        whole = folder / "whole.h5"
+        _undisturbed("library", "build", cell, "-o", str(whole))
+        for number, (victim, how) in enumerate((("scheduler", "KILL"), ("scheduler", "TERM"), ("worker", "KILL"))):
+            out, address_file = folder / f"{number}.h5", folder / f"{number}.json"
+            build = ["library", "build", cell, "-o", str(out)]
+            at = ["--scheduler-file", str(address_file), "--no-dashboard"]
+            scheduler = _dask("scheduler", "--host", "127.0.0.1", "--port", "0", *at)
+            worker = _dask("worker", "--nthreads", "1", "--no-nanny", *at)
+            while not address_file.is_file():
+                time.sleep(0.1)
+            process = _started(*build, "--cluster", json.loads(address_file.read_text(encoding="utf-8"))["address"])
+            while process.poll() is None and not list(folder.glob(f"{out.name}.*.partial")):
+                time.sleep(0.1)
+            start = time.perf_counter()
+            os.kill((scheduler if victim == "scheduler" else worker).pid, getattr(signal, f"SIG{how}"))
+            if victim == "scheduler":
+                done = _finished(process)
+                seconds, faults = time.perf_counter() - start, _ended(done, 1)
+                faults += [] if seconds < SCHEDULER_S else [f"exit after {seconds:.0f} s"]
+                faults += _ended(_metafab(*build), 0)
+            else:
+                assert process.stderr is not None
+                said = process.stderr.readline()
+                seconds = time.perf_counter() - start
+                faults = [] if "worker" in said and seconds < WORKERS_S else [f"after {seconds:.0f} s: {said.strip()}"]
+                replacement = _dask("worker", "--nthreads", "1", "--no-nanny", *at)
+                faults += _ended(_finished(process), 0)
+                replacement.kill()
+            faults += [] if out.is_file() and out.read_bytes() == whole.read_bytes() else ["another library"]
+            for each in (scheduler, worker):
+                each.kill()
+            yield Case(f"{victim} of the cluster, SIG{how}", seconds, tuple(faults))
+
+
+def _dask(what: str, *options: str) -> subprocess.Popen[bytes]:
+    """Start the scheduler or a worker of a Dask cluster."""
+    command = [sys.executable, "-m", f"distributed.cli.dask_{what}", *options]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
 def _second_runs(project: Project, count: int) -> Iterator[Case]:
     """Run twice in one folder at once."""
     with tempfile.TemporaryDirectory() as folder:
@@ -232,13 +286,16 @@ def _damaged(project: Project, results: dict[str, bytes], *, quick: bool) -> Ite
 
 
 def _damages(path: Path) -> dict[str, bytes]:
-    """Damaged contents of a file by the kind of damage: four of a JSON file, two of another, one of a picture."""
+    """Damaged contents of a file by the kind of damage: six of a JSON file, two of another, one of a picture."""
     whole = path.read_bytes()
     middle = len(whole) // 2
     if path.suffix == ".png":
         return {"cut": whole[:middle]}
     damages = {"cut": whole[:middle], "one bit": whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :]}
-    return damages | ({"empty": b"", "list": b"[1, {}]"} if path.suffix == ".json" else {})
+    if path.suffix != ".json":
+        return damages
+    numbers = json.dumps(dict.fromkeys(json.loads(whole), -1)).encode()
+    return damages | {"empty": b"", "list": b"[1, {}]", "deep": b"[" * 200_000, "numbers": numbers}
 
 
 def _full_disk(project: Project, results: dict[str, bytes]) -> Iterator[Case]:
@@ -369,7 +426,7 @@ def _kill(pid: int) -> None:
 def _row(name: str, cases: Sequence[Case]) -> dict[str, Any]:
     failures = [f"{case.name}: {'; '.join(case.faults)}" for case in cases if case.faults]
     return {
-        "name": name if cases else f"{name} (not run: no file system could be mounted)",
+        "name": name if cases else f"{name} (not run: no file system could be mounted, or no `distributed`)",
         "series": "metafab",
         "error": None,
         "seconds": max((case.seconds for case in cases), default=None),

@@ -280,6 +280,7 @@ def point_spread(
     from metafab import optics
     from metafab.optics.interpolation import concatenate
     from metafab.optics.measures.landing import light_elsewhere
+    from metafab.optics.numerics import require_valid
 
     imaging, verify = optics.Imaging.of(job.design), job.design.verify
     depths_m = verify.depths_m if depths_m is None else depths_m
@@ -294,11 +295,13 @@ def point_spread(
         expected = "an object at a finite depth"
         remedy = "leave inf out of --depths-m: a position in mm is no direction there"
         raise InputError.single("psf", "--object-mm", expected, f"{x_mm:g} {y_mm:g} mm at infinity", remedy)
-    source = _source_of(job, path, copy, printed, sizes)
     # On the axis, all depths lie in one direction and share one pass over the pillars.
     numerics = optics.PsfNumerics(window_px, target_error, filter_fwhm_nm(job.design), verify.vectorial)
     passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
     tangents = [tangent or (1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
+    for depths, direction in zip(passes, tangents, strict=True):
+        require_valid(imaging, depths, direction, None, numerics)  # before the mask is read
+    source = _source_of(job, path, copy, printed, sizes)
     stacks = [
         optics.psf(source, imaging, depths, numerics, tangent=tangent, work=job.work)
         for depths, tangent in zip(passes, tangents, strict=True)

@@ -24,11 +24,11 @@ def sub_apertures_um(x_um: FloatArray, y_um: FloatArray, power: FloatArray, coun
         power: shape (n_y, n_x), power through each cell, not negative, some of it positive.
         count: number of points.
     """
-    relative = power / power.max()
-    tries = int(np.ceil(1.2 * count / relative.mean())) + 64
+    peak = power.max()
+    tries = int(np.ceil(1.2 * count * peak / power.mean())) + 64
     along_x, along_y, height = ((0.5 + _STEPS * np.arange(tries)[:, None]) % 1.0).T
     columns, rows = (along_x * x_um.size).astype(int), (along_y * y_um.size).astype(int)
-    kept = np.flatnonzero(height < relative[rows, columns])[:count]
+    kept = np.flatnonzero(height < power[rows, columns] / peak)[:count]
     sides = (_step(x_um), _step(y_um))
     x = x_um[0] + sides[0] * (along_x[kept] * x_um.size - 0.5)
     y = y_um[0] + sides[1] * (along_y[kept] * y_um.size - 0.5)

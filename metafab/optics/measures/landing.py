@@ -8,6 +8,7 @@ their side and by their diffraction alike, which is the resolution of the map.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,8 +85,8 @@ def _brightest(
 
 def _landings(
     source: Source, imaging: Imaging, ray: Ray, polarisation: int, block_um: float
-) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-    """Landing points and powers of the plane waves of each block."""
+) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Landing points and powers of the plane waves of one block after another."""
     lattice, k = source.lattice, imaging.wavenumber
     x_um, y_um = lattice.x_um(), lattice.y_um()
     pitch = [1e-3 * period * lattice.database_unit_nm for period in lattice.period_dbu]
@@ -98,7 +99,6 @@ def _landings(
         imaging.sensor_distance_um * np.broadcast_to(c, along.shape)[lit] / along[lit]
         for c in (cosines[0][None, :], cosines[1][:, None])
     )
-    landings = []
     for tile in source.tiles():
         amplitude = tile.amplitude(polarisation)
         for top, left in _corners(amplitude, sites, every):
@@ -110,8 +110,7 @@ def _landings(
             # The incident wave: the path to the sensor point is the same for the whole wave and drops out.
             incident = np.exp(1j * k * _incident_um(x[None, :], y[:, None], ray))
             power = np.abs(np.fft.fft2(block * incident, (sites, sites))[lit]) ** 2
-            landings.append((x.mean() + shift_x, y.mean() + shift_y, power))
-    return landings
+            yield x.mean() + shift_x, y.mean() + shift_y, power
 
 
 def _corners(amplitude: NDArray[np.complexfloating], sites: int, every: int) -> list[tuple[int, int]]:

@@ -31,7 +31,7 @@ _LARGEST_EDGE_PHASE_RAD = 1.0
 _COARSEST_TARGET = 1e-2
 #: Windows whose errors are estimated at once, while earlier ones may decide.
 _AHEAD = 4
-#: Memory limit: a polarisation takes 96 bytes per block, coarser blocks included.
+#: Limit of scratch in memory or on disk: a polarisation takes 75 bytes per block, coarser blocks included.
 MOST_BLOCKS = 20_000_000
 
 
@@ -98,15 +98,16 @@ def reduce_to_target(
         )
         carriers = [Carrier(p, ray.in_air, block) for p, ray in enumerate(rays)]
         carriers += [stray] if stray_pupil is None else []
-        first, second, *rest = reduce_field(source, carriers, imaging.wavenumber, work)
-        stray_pupil = rest[0] if stray_pupil is None else stray_pupil
-        pyramids = [_pyramid(first), _pyramid(second)]
+        pupils = reduce_field(source, carriers, imaging.wavenumber, work)
+        stray_pupil = pupils.pop() if stray_pupil is None else stray_pupil
+        pyramids = [_pyramid(pupils.pop(0)), _pyramid(pupils.pop(0))]
         for level in range(len(pyramids[0]) - 2, -1, -1):
             edge_phase_rad = _edge_phase_rad(windows[0], max(pyramids[0][level].block_um))
             if (level == 0 or edge_phase_rad <= _LARGEST_EDGE_PHASE_RAD) and keep_target(pyramids, level):
                 return [pyramid[level:] for pyramid in pyramids], stray_pupil
         if block == 1:
             return pyramids, stray_pupil
+        pyramids.clear()  # before finer blocks are made
         block = max(1, block // 4)
 
 
@@ -126,7 +127,7 @@ def require_memory(
     n_y, n_x = source.lattice.shape
     blocks = -(-n_y // block) * -(-n_x // block)
     if blocks > most_blocks:
-        got = f"{blocks:.1e} blocks of {block} sites a side, {96 * blocks / 1e9:.0f} GB per polarisation"
+        got = f"{blocks:.1e} blocks of {block} sites a side, {75 * blocks / 1e9:.0f} GB per polarisation"
         expected = f"{expected} for which {most_blocks:.0e} block sums suffice"
         raise InputError.single("optics", field, expected, got, remedy)
 

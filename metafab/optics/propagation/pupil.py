@@ -10,9 +10,10 @@ difference of the two sizes gives the error.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,10 +23,16 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import default_workers
 from metafab.core.parallel.work import Work
+from metafab.core.storage.scratch import release, scratch
 from metafab.layout.pillars import Lattice
 from metafab.optics.geometry.aperture import sub_apertures_um
 from metafab.optics.geometry.path import Ray, RayNumbers, path_um
 from metafab.optics.sources.source import FieldTile, Source
+
+#: Most blocks of a band, about 30 MB with what is computed from them.
+_BAND_BLOCKS = 1 << 18
+#: Largest array of block sums that is held in memory; a pair of polarisations has some six of this order.
+_IN_MEMORY_BYTES = 1 << 26
 
 
 @dataclass(frozen=True)
@@ -70,32 +77,63 @@ class Pupil:
         """(x, y) of points that carry equal shares of the power, shape (n, 2); None for a dark pupil."""
         return sub_apertures_um(self.x_um, self.y_um, self.power) if self.power.any() else None
 
+    def bands(self) -> Iterator[tuple[slice, Pupil]]:
+        """Yield the pupil in bands of whole rows, an even number each but for the last, with their slice of the rows.
+
+        A pupil of up to 2^18 blocks is one band. Sums that are in a file take the memory of one band.
+        """
+        n_y, n_x = self.power.shape
+        count = max(1, min(-(-n_y * n_x // _BAND_BLOCKS), n_y // 2))
+        edges = [*(2 * np.linspace(0, n_y // 2, count + 1).astype(int)[:-1]).tolist(), n_y]
+        for top, bottom in pairwise(edges):
+            rows = slice(top, bottom)
+            sums = np.ascontiguousarray(self.sums[:, rows])
+            yield rows, replace(self, y_um=self.y_um[rows], sums=sums, power=self.power[rows])
+            self.release()
+
+    def release(self) -> None:
+        """Give back the memory of sums that are in a file."""
+        release(self.sums)
+        release(self.power)
+
     def coarsened(self) -> Pupil:
         """Return blocks of twice the side, each the sum of four."""
         step_x, step_y = self.block_um
+        x_um, y_um = self.x_um[::2] + 0.5 * step_x, self.y_um[::2] + 0.5 * step_y
+        coarse = replace(
+            self,
+            carrier=replace(self.carrier, block_sites=2 * self.carrier.block_sites),
+            x_um=x_um,
+            y_um=y_um,
+            **_zero_sums(y_um.size, x_um.size),
+        )
         # Each of the four lies half a fine step from their common centre: low for even, high for odd rows.
         offset_x = 0.5 * step_x * (2.0 * (np.arange(self.x_um.size) % 2) - 1.0)
-        offset_y = 0.5 * step_y * (2.0 * (np.arange(self.y_um.size) % 2) - 1.0)
-        sums = _sum_of_four(self.sums[0])
-        moment_x = _sum_of_four(self.sums[1] + offset_x[None, :] * self.sums[0])
-        moment_y = _sum_of_four(self.sums[2] + offset_y[:, None] * self.sums[0])
-        return Pupil(
-            Carrier(self.carrier.polarisation, self.carrier.ray, 2 * self.carrier.block_sites),
-            self.wavenumber,
-            self.pitch_um,
-            self.cell_um2,
-            self.x_um[::2] + 0.5 * step_x,
-            self.y_um[::2] + 0.5 * step_y,
-            np.array([sums, moment_x, moment_y]),
-            _sum_of_four(self.power),
-        )
+        for rows, band in self.bands():
+            offset_y = 0.5 * step_y * (2.0 * (np.arange(band.y_um.size) % 2) - 1.0)
+            into = slice(rows.start // 2, -(-rows.stop // 2))
+            coarse.sums[0, into] = _sum_of_four(band.sums[0])
+            coarse.sums[1, into] = _sum_of_four(band.sums[1] + offset_x[None, :] * band.sums[0])
+            coarse.sums[2, into] = _sum_of_four(band.sums[2] + offset_y[:, None] * band.sums[0])
+            coarse.power[into] = _sum_of_four(band.power)
+            coarse.release()
+        return coarse
 
     def transmitted(self, ray: Ray) -> float:
         """Return the integral of the transmitted flux over the lens for the object of ``ray``, um^2."""
-        flux = ray.incident_amplitude(self.x_um[None, :], self.y_um[:, None]) ** 2
-        if ray.crystal is not None:
-            flux = flux * np.abs(ray.jones_factor(self.x_um, self.y_um)) ** 2
-        return float(np.sum(flux * self.power)) * self.cell_um2
+        total = 0.0
+        for _, band in self.bands():
+            flux = ray.incident_amplitude(band.x_um[None, :], band.y_um[:, None]) ** 2
+            if ray.crystal is not None:
+                flux = flux * np.abs(ray.jones_factor(band.x_um, band.y_um)) ** 2
+            total += float(np.sum(flux * band.power))
+        return total * self.cell_um2
+
+
+def _zero_sums(n_y: int, n_x: int) -> dict[str, Any]:
+    """Arrays of a pupil without light; large ones are in a file."""
+    sums = scratch((3, n_y, n_x), np.complex128, _IN_MEMORY_BYTES)
+    return {"sums": sums, "power": scratch((n_y, n_x), np.float64, _IN_MEMORY_BYTES)}
 
 
 def _sum_of_four(values: Any) -> Any:
@@ -108,7 +146,8 @@ def _sum_of_four(values: Any) -> Any:
 def reduce_field(source: Source, carriers: Sequence[Carrier], wavenumber: float, work: Work = Work()) -> list[Pupil]:
     """Return the block sums behind each carrier (polarisation, ray, block size), from one pass over the source's tiles.
 
-    Memory beyond the source is that of the block sums: a tile is summed and dropped. ``wavenumber`` is k, rad/um.
+    Memory beyond the source is that of the block sums: a tile is summed and dropped. Sums above 64 MB are in an unnamed
+    file of the temporary folder. ``wavenumber`` is k, rad/um.
     """
     x, y = source.lattice.x_um(), source.lattice.y_um()
     pupils = [_empty_pupil(carrier, wavenumber, source.lattice) for carrier in carriers]
@@ -118,6 +157,9 @@ def reduce_field(source: Source, carriers: Sequence[Carrier], wavenumber: float,
         for tile in source.tiles():
             for job in pending:
                 job.result()
+            if tile.column == 0:
+                for pupil in pupils:
+                    pupil.release()
             pending = [threads.submit(_add_tile, pupil, tile) for pupil in pupils]
             work.progress("pupil", min(tile.row * x.size + tile.column, x.size * y.size), x.size * y.size)
         for job in pending:
@@ -133,8 +175,8 @@ def _empty_pupil(carrier: Carrier, wavenumber: float, lattice: Lattice) -> Pupil
     n_x, n_y = (-(-axis.size // block) for axis in (x_um, y_um))
     centre_x = x_um[0] + pitch_x * (block * np.arange(n_x) + 0.5 * (block - 1))
     centre_y = y_um[0] + pitch_y * (block * np.arange(n_y) + 0.5 * (block - 1))
-    sums, power = np.zeros((3, n_y, n_x), dtype=np.complex128), np.zeros((n_y, n_x))
-    return Pupil(carrier, wavenumber, (pitch_x, pitch_y), lattice.cell_um2, centre_x, centre_y, sums, power)
+    empty = _zero_sums(n_y, n_x)
+    return Pupil(carrier, wavenumber, (pitch_x, pitch_y), lattice.cell_um2, centre_x, centre_y, **empty)
 
 
 def _add_tile(pupil: Pupil, tile: FieldTile) -> None:

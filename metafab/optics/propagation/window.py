@@ -54,9 +54,16 @@ class WindowTransform:
 
     def field(self, blocks: SingleComplexArray) -> SingleComplexArray:
         """Return the field on the window, shape (n, n), of refocused blocks of shape (1 or 3, n_y, n_x)."""
+        return self.propagated(self.gathered(blocks))
+
+    def gathered(self, blocks: SingleComplexArray, rows: slice = slice(None)) -> SingleComplexArray:
+        """Return the weights on the Chebyshev points, shape (1 or 3, q_y, q_x), of the blocks in some ``rows``."""
+        along_y = (self.gather_y[:, rows] @ blocks.view(np.float32)).view(np.complex64)
+        return np.asarray((along_y.real @ self.gather_x) + 1j * (along_y.imag @ self.gather_x))
+
+    def propagated(self, weights: SingleComplexArray) -> SingleComplexArray:
+        """Return the field on the window, shape (n, n), of weights as :meth:`gathered` gives them."""
         kernel = self.kernel
-        rows = (self.gather_y @ blocks.view(np.float32)).view(np.complex64)
-        weights = (rows.real @ self.gather_x) + 1j * (rows.imag @ self.gather_x)
         total = np.zeros(self.by_order.shape[1:], dtype=np.complex64)
         for terms, order, weight in zip(self._terms(), self.by_order, weights, strict=True):
             images = kernel.left @ (kernel.over_lens[terms] * weight) @ kernel.right
@@ -95,11 +102,13 @@ def component_fields(
     """
     transform = WindowTransform.build(pupil, kernel)
     for ray in rays:
-        blocks = refocus(pupil, replace(ray, target_um=kernel.spec.target_um), kernel.spec.wavenumber)
-        yield [
-            transform.field(blocks if weight is None else weighted(blocks, pupil, weight)).astype(np.complex128)
-            for weight in weights
-        ]
+        moved, gathered = replace(ray, target_um=kernel.spec.target_um), [np.zeros((), np.complex64)] * len(weights)
+        for rows, band in pupil.bands():
+            blocks = refocus(band, moved, kernel.spec.wavenumber)
+            for index, weight in enumerate(weights):
+                part = blocks if weight is None else weighted(blocks, band, weight)
+                gathered[index] = gathered[index] + transform.gathered(part, rows)
+        yield [transform.propagated(total).astype(np.complex128) for total in gathered]
 
 
 def _dirichlet(phase_per_site: FloatArray, sites: int) -> FloatArray:

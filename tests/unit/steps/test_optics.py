@@ -17,7 +17,7 @@ from metafab.library.library import Library
 from metafab.spec import Design
 from metafab.steps.job import Job
 from metafab.steps.library import library_path
-from metafab.steps.optics import mask_source
+from metafab.steps.optics import mask_source, point_spread
 
 
 @pytest.fixture
@@ -59,3 +59,8 @@ def test_a_missing_mask_says_so_before_any_library_is_built(small_design: Design
     with pytest.raises(InputError, match=r"gone\.oas"):
         mask_source(job, tmp_path / "gone.oas")
     assert not library_path(job).exists()
+
+
+def test_coarse_pixels_are_refused_before_the_mask_is_read(design: Design, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="finest fringe"):
+        point_spread(Job(design, tmp_path), tmp_path / "gone.oas", pixel_um=50.0)

@@ -100,3 +100,30 @@ def test_a_dark_pupil_has_no_sub_apertures() -> None:
     points_um = pupil.sub_apertures_um
     assert points_um is not None and points_um.shape == (128, 2)
     assert replace(pupil, power=np.zeros_like(pupil.power)).sub_apertures_um is None
+
+
+def test_bands_of_a_large_pupil_leave_no_trace() -> None:
+    """1.4 million blocks are six bands; rows and columns are odd in number."""
+    random, shape = np.random.default_rng(5), (1201, 1203)
+    x_um, y_um = (2.8 * (np.arange(count) - count // 2) for count in shape[::-1])
+    sums = random.normal(size=(3, *shape)) + 1j * random.normal(size=(3, *shape))
+    pupil = Pupil(Carrier(0, _ray(), 8), K, (0.35, 0.35), 0.35**2, x_um, y_um, sums, random.random(shape))
+    assert [rows.start % 2 for rows, _ in pupil.bands()] == 6 * [0]
+    assert np.array_equal(np.concatenate([band.sums for _, band in pupil.bands()], axis=1), sums)
+    padded = np.pad(pupil.sums, ((0, 0), (0, 1), (0, 1))).reshape(3, 601, 2, 602, 2)
+    side = 1.4 * np.array([-1.0, 1.0])
+    coarse = pupil.coarsened()
+    assert np.allclose(coarse.sums[0], padded[0].sum(axis=(1, 3)), atol=1e-9)
+    assert np.allclose(coarse.sums[1], (padded[1] + side * padded[0]).sum(axis=(1, 3)), atol=1e-9)
+    assert np.allclose(coarse.sums[2], (padded[2] + side[:, None, None] * padded[0]).sum(axis=(1, 3)), atol=1e-9)
+    assert coarse.power.sum() == pytest.approx(pupil.power.sum())
+    flux = _ray().incident_amplitude(x_um[None, :], y_um[:, None]) ** 2
+    assert pupil.transmitted(_ray()) == pytest.approx(np.sum(flux * pupil.power) * 0.35**2)
+
+
+def test_flat_pupils_have_no_empty_bands() -> None:
+    for shape in ((1, 600_000), (3, 300_000), (600_000, 1)):
+        axes = (np.arange(float(count)) for count in shape[::-1])
+        pupil = Pupil(Carrier(0, _ray(), 1), K, (1.0, 1.0), 1.0, *axes, np.ones((3, *shape), complex), np.ones(shape))
+        sizes = [band.power.size for _, band in pupil.bands()]
+        assert sum(sizes) == pupil.power.size and min(sizes) > 0

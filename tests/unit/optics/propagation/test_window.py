@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from metafab.optics.geometry.path import Ray, path_and_slopes
 from metafab.optics.propagation.kernel import KernelSpec, WindowKernel
 from metafab.optics.propagation.pupil import Carrier, Pupil
 from metafab.optics.propagation.refocus import refocus
-from metafab.optics.propagation.window import WindowTransform
+from metafab.optics.propagation.window import WindowTransform, window_fields
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()
@@ -120,3 +122,17 @@ def test_kernels_of_usual_windows_are_kept_until_forgotten() -> None:
     assert again is not first
     for name in ("left", "right", "over_window", "over_lens"):
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+
+
+def test_the_field_of_bands_is_that_of_the_whole() -> None:
+    """A pupil of 360 000 blocks, in two bands and at once, behind another ray than its carrier."""
+    random, axis = np.random.default_rng(6), np.linspace(-29.0, 29.0, 600)
+    sums = random.normal(size=(3, 600, 600)) + 1j * random.normal(size=(3, 600, 600))
+    ray = Ray.towards_image(OPTICS, 0, 0.9e-3, (0.02, 0.05))
+    pupil = Pupil(Carrier(0, ray, 4), K, (0.35, 0.35), 0.35**2, axis, axis, sums, np.abs(sums[0]) ** 2)
+    assert len(list(pupil.bands())) == 2
+    transform, other = _transform(pupil, 1e-5), Ray.towards_image(OPTICS, 0, 0.8e-3, (-0.03, 0.06))
+    moved = replace(other, target_um=transform.kernel.spec.target_um)
+    whole = transform.field(refocus(pupil, moved, K))
+    (field,) = window_fields(pupil, transform.kernel, [other])
+    assert np.abs(field - whole).max() < 2e-6 * np.abs(whole).max()
