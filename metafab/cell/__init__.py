@@ -6,7 +6,7 @@
 - ``validation``   faults of cells and numerics
 - ``problem``      unit-cell spec -> cells; solves one cell or many
 - ``open_orders``  orders that leave a cell besides the zero order, and their share of the light
-- ``starting``     a unit cell to start from, by rules of thumb
+- ``starting``     a unit cell to start from, by rules of thumb and a search for the height
 - ``supercell``    unlike pillars in one period, and the prediction of the local-period approximation
 - ``rcwa``         the Fourier modal method with a bound on its error
 - ``elements``     supercells by spectral elements and plane waves

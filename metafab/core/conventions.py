@@ -56,6 +56,15 @@ def wrap_phase(phase_rad: ArrayLike) -> FloatArray:
     return np.asarray(math.pi - np.mod(math.pi - phase, 2.0 * math.pi), dtype=np.float64)
 
 
+def covered_rad(phase_rad: FloatArray, within_rad: float = 0.1) -> float:
+    """Part of the phase circle, rad, at most ``within_rad`` from one of the phases, shape (n,) in (-pi, pi]."""
+    if phase_rad.size == 0:
+        return 0.0
+    ordered = np.sort(phase_rad)
+    gaps = np.diff(ordered, append=ordered[:1] + 2.0 * math.pi)
+    return 2.0 * math.pi - float(np.sum(np.maximum(gaps - 2.0 * within_rad, 0.0)))
+
+
 def image_distance_mm(focal_length_mm: float, depth_m: float) -> float:
     """Image distance s' of an object at ``depth_m``: 1/s' = 1/f - 1/depth; ``math.inf`` is a valid depth.
 

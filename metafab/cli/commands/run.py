@@ -57,7 +57,7 @@ def new_command(
         library = output / f"{name}_cell.toml"
         if library.exists():
             raise InputError.single(str(library), "file", "a name that is free", "a file", "choose another name")
-        text = starting_cell(
+        cell = starting_cell(
             wavelength_nm,
             material,
             substrate=substrate or "SiO2",
@@ -66,8 +66,9 @@ def new_command(
         )
         output.mkdir(parents=True, exist_ok=True)
         with whole_file(library) as part:
-            part.write_text(text, encoding="utf-8")
+            part.write_text(cell.text, encoding="utf-8")
         files = [library]
+        announce(coverage_warning(cell.reach_rad))
     try:
         written = write_new(name, kind, output, library, lens)
     except InputError:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from metafab.core.conventions import ComplexArray, FloatArray, wrap_phase
+from metafab.core.conventions import ComplexArray, FloatArray, covered_rad, wrap_phase
 from metafab.library.library import Library
 from metafab.library.use.amplitudes import power_transmittance
 from metafab.library.use.lookup import best_overlap, phase_slope_per_nm
@@ -43,7 +43,7 @@ class Quality:
 def coverage_rad(library: Library) -> float:
     """Return the covered part of the phase circle, at most 2 pi, of the polarisation with less coverage."""
     t = _transparent(library)
-    return min(_covered_rad(np.angle(t[:, axis])) for axis in (0, 1))
+    return min(covered_rad(np.angle(t[:, axis]), REACH_RAD) for axis in (0, 1))
 
 
 def quality(library: Library) -> Quality:
@@ -77,15 +77,6 @@ def _transparent(library: Library) -> ComplexArray:
     """Transmission of the sizes with high transmittance in both polarisations: shape (n, 2)."""
     transparent = np.all(power_transmittance(library) >= LEAST_TRANSMITTANCE, axis=-1)
     return np.asarray(library.t[library.known & transparent])
-
-
-def _covered_rad(phase_rad: FloatArray) -> float:
-    """The circle without the parts of its gaps that are farther than the reach from both ends."""
-    if phase_rad.size == 0:
-        return 0.0
-    ordered = np.sort(phase_rad)
-    gaps = np.diff(ordered, append=ordered[:1] + 2.0 * math.pi)
-    return 2.0 * math.pi - float(np.sum(np.maximum(gaps - 2.0 * REACH_RAD, 0.0)))
 
 
 def _worst_hole(t: ComplexArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:

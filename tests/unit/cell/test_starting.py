@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from metafab.cell import CellNumerics, pillar_cell, solve
+from metafab.cell import curved, pillar_cell
 from metafab.cell.open_orders import open_orders
+from metafab.cell.rcwa.jones import zero_order
 from metafab.cell.starting import starting_cell
-from metafab.core.conventions import wrap_phase
+from metafab.core.conventions import covered_rad
 from metafab.core.errors import InputError
 from metafab.spec import UnitCell, load_unit_cell
 
 
 def _cell(tmp_path: Path, *arguments: object, **options: object) -> UnitCell:
     file = tmp_path / "cell.toml"
-    file.write_text(starting_cell(*arguments, **options), encoding="utf-8")  # type: ignore[arg-type]
+    file.write_text(starting_cell(*arguments, **options).text, encoding="utf-8")  # type: ignore[arg-type]
     return load_unit_cell(file)
 
 
@@ -27,9 +27,7 @@ def _cell(tmp_path: Path, *arguments: object, **options: object) -> UnitCell:
     [
         (532.0, "TiO2", 0.6),
         (1550.0, "Si", 0.9),
-        (940.0, "a-Si", 0.2),
         (633.0, "SiN", 0.95),
-        (460.0, "TiO2/Devore-o", 0.3),
     ],
 )
 def test_a_cell_keeps_its_light_and_samples_its_lens(
@@ -41,14 +39,36 @@ def test_a_cell_keeps_its_light_and_samples_its_lens(
     low, high = cell.sweep.width_nm
     assert low >= 40.0
     assert cell.cell.period_nm[0] - high >= 50.0
-    # The phase of the widest pillar is about a turn beyond that of the narrowest, or more.
-    turn = 0.0
-    numerics = CellNumerics(0.05)
-    sizes = [low + k * (high - low) / 12 for k in range(13)]
-    answers = [solve(pillar_cell(cell, size, size), numerics).t[0, 0] for size in sizes]
-    for before, after in pairwise(answers):
-        turn += float(wrap_phase(np.angle(after / before)))
-    assert turn > 4.4
+
+
+@pytest.mark.parametrize(
+    ("shape", "wavelength_nm", "material", "least_rad"),
+    [("cross", 633.0, "TiO2", 6.1), ("circle", 1550.0, "Si", 4.8), ("ring", 532.0, "TiO2", 5.9)],
+)
+def test_finer_solutions_reach_the_phases_that_the_file_states(
+    shape: str, wavelength_nm: float, material: str, least_rad: float, tmp_path: Path
+) -> None:
+    """At 2.2 turns, crosses of amorphous silicon reached 5.6 rad, rings of titanium dioxide 5.3.
+
+    Of the crosses half are solved, so that a gap of the circle which one size closes may stay open.
+    """
+    file = tmp_path / "cell.toml"
+    begun = starting_cell(wavelength_nm, material, shape=shape)
+    file.write_text(begun.text, encoding="utf-8")
+    cell = load_unit_cell(file)
+    low, high = cell.sweep.width_nm
+    sizes_nm = np.arange(low, high + 1.0, cell.sweep.size_grid_nm)
+    t = []
+    for width_nm in sizes_nm.tolist():
+        for length_nm in sizes_nm[sizes_nm <= width_nm][::2].tolist() if shape == "cross" else [width_nm]:
+            one = pillar_cell(cell, width_nm, length_nm)
+            t.append((zero_order(one, 8) if shape == "cross" else curved.zero_order(one, 4)).t[0, 0])
+    passed = np.abs(t) ** 2 / one.n_substrate[0].real >= 0.5
+    reach_rad = covered_rad(np.angle(t)[passed])
+    assert begun.reach_rad > least_rad
+    assert reach_rad == pytest.approx(begun.reach_rad, abs=0.25)
+    assert f"{begun.reach_rad:.2f} rad" in begun.text
+    assert begun.efficiency > 0.95
 
 
 def test_what_cannot_work_is_refused() -> None:
