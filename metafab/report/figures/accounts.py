@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 
 from metafab.benchmark import BenchmarkRow
 from metafab.report.accounts import Stage
-from metafab.report.style import GOOD, INK, MUTED, X_COLOUR, Y_COLOUR, dress, legend, logarithmic
+from metafab.report.style import GOOD, INK, MUTED, X_COLOUR, Y_COLOUR, dress, finished, logarithmic
 from metafab.steps.summary import BudgetLine
 
 _MARKERS = "osD^vP*X<>"
@@ -63,15 +63,12 @@ def error_against_time(rows: Sequence[BenchmarkRow], axes: Axes) -> Axes:
         axes.plot(x, y, f"{_marker(index)}-", color=_colour(index), markersize=4.5)
     for index, row in enumerate(row for row in known if row.series is None):
         x, y = [row.seconds or 0.0], [row.error or 0.0]
-        axes.plot(x, y, _marker(index), color=_colour(index), markersize=6, label=row.name)
+        axes.plot(x, y, _marker(index), color=_colour(index), markersize=6, label=None if series else row.name)
     _bounds(known, axes)
     dress(axes, "seconds", "error", "Error against time")
-    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
     if series:
         _name_lines(axes, series)
-    elif axes.lines:
-        legend(axes, loc="center left", bbox_to_anchor=(1.02, 0.5))
-    return axes
+    return finished(axes, loc="center left", bbox_to_anchor=(1.02, 0.5))
 
 
 def with_error_and_time(rows: Sequence[BenchmarkRow]) -> list[BenchmarkRow]:
@@ -91,10 +88,7 @@ def error_against_photons(rows: Sequence[BenchmarkRow], axes: Axes) -> Axes:
         axes.plot(photons, error, f"{_marker(index)}-", markersize=4.5, label=name, color=colour)
         axes.plot(photons, bound, f"{_marker(index)}--", markersize=3.0, linewidth=0.8, alpha=0.7, color=colour)
     dress(axes, "electrons a pixel", "error", "Error against light, with its Cramér-Rao bound (dashed)")
-    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
-    if names:
-        legend(axes, loc="center left", bbox_to_anchor=(1.02, 0.5))
-    return axes
+    return finished(axes, loc="center left", bbox_to_anchor=(1.02, 0.5))
 
 
 def _marker(index: int) -> str:

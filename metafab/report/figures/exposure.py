@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,16 +14,12 @@ from metafab.report.style import (
     CONTRAST_MAP,
     HAIRLINE,
     INK,
-    MUTED,
     X_COLOUR,
     Y_COLOUR,
-    bare,
-    colour_bar,
     dress,
-    legend,
+    finished,
     logarithmic,
-    scale_bar,
-    show_map,
+    picture,
 )
 
 _INKS = (Y_COLOUR, X_COLOUR)
@@ -41,11 +38,8 @@ def size_map(errors: SizeMap, axes: Axes, title: str, largest_nm: float) -> Axes
     n_y, n_x = errors.bias_nm.shape
     half_x, half_y = 0.5 * n_x * errors.block_um[0], 0.5 * n_y * errors.block_um[1]
     extent = (-half_x, half_x, -half_y, half_y)
-    image = show_map(axes, errors.bias_nm, extent, cmap=CONTRAST_MAP, vmin=-largest_nm, vmax=largest_nm)
-    colour_bar(image, axes, "printed less drawn size / nm")
-    bare(axes, title)
-    scale_bar(axes, extent, INK)
-    return axes
+    scale: dict[str, Any] = {"cmap": CONTRAST_MAP, "vmin": -largest_nm, "vmax": largest_nm}
+    return picture(axes, errors.bias_nm, extent, "printed less drawn size / nm", title, bar=INK, **scale)
 
 
 def size_histogram(parts: Mapping[str, SizeErrors], axes: Axes) -> Axes:
@@ -64,7 +58,7 @@ def size_histogram(parts: Mapping[str, SizeErrors], axes: Axes) -> Axes:
     low = axes.get_ylim()[0]
     axes.set_yticks([tick for tick in axes.get_yticks() if low <= tick <= 100.0])
     axes.set_ylim(low, 1000.0)  # Room for the legend above 100 %.
-    return _finished(axes)
+    return finished(axes, loc="upper left")
 
 
 def process_window(parts: Mapping[str, SizeErrors], axes: Axes) -> Axes:
@@ -81,10 +75,4 @@ def process_window(parts: Mapping[str, SizeErrors], axes: Axes) -> Axes:
         axes.plot(percent, mean, color=ink, linewidth=width, label=name)
     axes.axhline(0.0, color=HAIRLINE, linewidth=0.8, zorder=0.0)
     dress(axes, "change of all doses, %", "printed less drawn size / nm", "Process window")
-    return _finished(axes)
-
-
-def _finished(axes: Axes) -> Axes:
-    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
-    legend(axes, loc="upper left")
-    return axes
+    return finished(axes, loc="upper left")

@@ -18,23 +18,20 @@ from metafab.report.style import (
     CONTRAST_MAP,
     DEPTH_MAP,
     IDEAL,
-    MUTED,
+    INK,
+    NO_TICKS,
     POLARISATION_COLOUR,
     SHARE_MAP,
     X_COLOUR,
     Extent,
+    Ticks,
     bare,
     colour_bar,
     depth_unit,
     dress,
+    finished,
     show_map,
 )
-
-
-def _few_ticks(axes: Axes) -> Axes:
-    """Set few ticks along x, as coordinates of four digits need room."""
-    axes.locator_params(axis="x", nbins=5)
-    return axes
 
 
 def raw_frame(raw: RawFrame, axes: Axes) -> Axes:
@@ -46,39 +43,40 @@ def raw_frame(raw: RawFrame, axes: Axes) -> Axes:
     return dress(axes, "x on the sensor / µm", "y / µm", "Raw frame")
 
 
-def intensity(decoded: Image4D, axes: Axes, polarisation: Polarisation, top: float | None = None) -> Axes:
-    """Draw the all-in-focus intensity of one polarisation, on a scale up to ``top`` electrons."""
+def intensity(decoded: Image4D, axes: Axes, polarisation: Polarisation) -> Axes:
+    """Draw the all-in-focus intensity of one polarisation."""
     values = decoded.intensity_x if polarisation == "x" else decoded.intensity_y
-    image = show_map(axes, values, _extent(decoded), cmap="gray", vmin=0.0, vmax=top or _top(values))
-    colour_bar(image, axes, "electrons")
-    return _few_ticks(
-        dress(axes, "x / µm", "y / µm", f"I_{polarisation}, all in focus", POLARISATION_COLOUR[polarisation])
-    )
+    scale: dict[str, Any] = {
+        "cmap": "gray",
+        "vmin": 0.0,
+        "vmax": _top(values),
+        "ink": POLARISATION_COLOUR[polarisation],
+    }
+    return _decoded_map(decoded, axes, values, "electrons", f"I_{polarisation}, all in focus", **scale)
 
 
 def contrast(decoded: Image4D, axes: Axes) -> Axes:
     """Draw I_x / I_y on a logarithmic scale about 1."""
     reach = contrast_reach(decoded)
-    norm = LogNorm(1.0 / reach, reach)
-    image = show_map(axes, decoded.contrast, _extent(decoded), cmap=CONTRAST_MAP, norm=norm)
     ticks = [tick for tick in (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0) if 1.0 / reach <= tick <= reach]
-    colour_bar(image, axes, "I_x / I_y", ticks, [f"{tick:g}" for tick in ticks])
-    return _few_ticks(dress(axes, "x / µm", "y / µm", "Polarisation contrast"))
+    scale: dict[str, Any] = {
+        "cmap": CONTRAST_MAP,
+        "norm": LogNorm(1.0 / reach, reach),
+        "ticks": (ticks, [f"{t:g}" for t in ticks]),
+    }
+    return _decoded_map(decoded, axes, decoded.contrast, "I_x / I_y", "Polarisation contrast", **scale)
 
 
 def depth(decoded: Image4D, axes: Axes) -> Axes:
     """Draw the depth of every decoded pixel; pixels without depth stay blank."""
     scale, unit = depth_unit(decoded.depth_m)
-    image = show_map(axes, scale * decoded.depth_m, _extent(decoded), cmap=DEPTH_MAP)
-    colour_bar(image, axes, f"depth / {unit}")
-    return _few_ticks(dress(axes, "x / µm", "y / µm", "Depth"))
+    return _decoded_map(decoded, axes, scale * decoded.depth_m, f"depth / {unit}", "Depth", cmap=DEPTH_MAP)
 
 
 def confidence(decoded: Image4D, axes: Axes) -> Axes:
     """Draw the confidence in the depth of each pixel, 0 to 1; 0 without depth."""
-    image = show_map(axes, decoded.confidence, _extent(decoded), cmap=SHARE_MAP, vmin=0.0, vmax=1.0)
-    colour_bar(image, axes, "confidence")
-    return _few_ticks(dress(axes, "x / µm", "y / µm", "Confidence"))
+    scale: dict[str, Any] = {"cmap": SHARE_MAP, "vmin": 0.0, "vmax": 1.0}
+    return _decoded_map(decoded, axes, decoded.confidence, "confidence", "Confidence", **scale)
 
 
 def depth_against_truth(pairs: DepthPairs, axes: Axes) -> Axes:
@@ -92,8 +90,7 @@ def depth_against_truth(pairs: DepthPairs, axes: Axes) -> Axes:
     axes.errorbar(true, decoded, yerr=error, fmt="o", markersize=5, color=X_COLOUR, elinewidth=1.0, capsize=2)
     dress(axes, f"true depth / {unit}", f"decoded depth / {unit}", "Depth against truth")
     axes.set(xlim=ends, ylim=ends, aspect="equal")
-    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
-    return axes
+    return finished(axes)
 
 
 def depth_view(view: DepthView) -> Figure:
@@ -145,8 +142,22 @@ def extent_um(shape: tuple[int, ...], origin_um: tuple[float, float], pixel_um: 
     return (left, left + shape[1] * pixel_um, low, low + shape[0] * pixel_um)
 
 
-def _extent(decoded: Image4D) -> Extent:
-    return extent_um(decoded.depth_m.shape, decoded.origin_um, decoded.pixel_um)
+def _decoded_map(
+    decoded: Image4D,
+    axes: Axes,
+    values: FloatArray,
+    label: str,
+    title: str,
+    *,
+    ink: str = INK,
+    ticks: Ticks = NO_TICKS,
+    **options: Any,
+) -> Axes:
+    """Draw a value of each pixel at its place on the sensor."""
+    extent = extent_um(values.shape, decoded.origin_um, decoded.pixel_um)
+    colour_bar(show_map(axes, values, extent, **options), axes, label, ticks)
+    axes.locator_params(axis="x", nbins=5)  # Coordinates of four digits need room.
+    return dress(axes, "x / µm", "y / µm", title, ink)
 
 
 def _top(values: FloatArray) -> float:

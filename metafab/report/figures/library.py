@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,70 +17,58 @@ from metafab.library.use.quality import CD_BIAS_NM, quality
 from metafab.report.style import (
     ERROR_MAP,
     INK,
-    MUTED,
+    NO_TICKS,
     PHASE_MAP,
     POLARISATION_COLOUR,
     SHARE_MAP,
     X_COLOUR,
     Extent,
+    Ticks,
     colour_bar,
     dress,
+    finished,
     show_map,
 )
 
-_PI_TICKS = (-math.pi, -math.pi / 2, 0.0, math.pi / 2, math.pi)
-_PI_LABELS = ("−π", "−π/2", "0", "π/2", "π")
+_PI_TICKS = ((-math.pi, -math.pi / 2, 0.0, math.pi / 2, math.pi), ("−π", "−π/2", "0", "π/2", "π"))
 #: Transmittance on the lines that enclose the guided-mode resonances.
 _RIDGE_TRANSMITTANCE = 0.5
 
 
 def phase_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
     """Draw the transmission phase over width and length; lines enclose the resonances."""
-    phase = np.angle(_t(library, polarisation))
-    if not library.known.all():
-        return _along_diameter(library, axes, phase, f"Phase of t, {polarisation} polarisation", "phase / rad")
-    image = show_map(axes, phase, _extent(library), cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
-    _ridges(library, axes, polarisation, "#ffffff")
-    colour_bar(image, axes, "phase / rad", _PI_TICKS, _PI_LABELS)
-    return _dress_map(axes, f"Phase of t, {polarisation} polarisation", polarisation)
+    scale: dict[str, Any] = {"cmap": PHASE_MAP, "vmin": -math.pi, "vmax": math.pi, "ticks": _PI_TICKS}
+    _ridges(library, axes, polarisation)
+    phase, title = np.angle(_t(library, polarisation)), f"Phase of t, {polarisation} polarisation"
+    return _size_map(library, axes, phase, "phase / rad", title, POLARISATION_COLOUR[polarisation], **scale)
 
 
 def transmittance_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
     """Draw the zero-order power transmittance over width and length; lines enclose the resonances."""
-    share = transmittance(library, polarisation)
-    if not library.known.all():
-        title = f"Transmittance, {polarisation} polarisation"
-        return _along_diameter(library, axes, share, title, "transmittance")
-    image = show_map(axes, share, _extent(library), cmap=SHARE_MAP, vmin=0.0, vmax=1.0)
-    _ridges(library, axes, polarisation, "#ffffff")
-    colour_bar(image, axes, "transmittance")
-    return _dress_map(axes, f"Transmittance, {polarisation} polarisation", polarisation)
+    scale: dict[str, Any] = {"cmap": SHARE_MAP, "vmin": 0.0, "vmax": 1.0}
+    _ridges(library, axes, polarisation)
+    share, title = transmittance(library, polarisation), f"Transmittance, {polarisation} polarisation"
+    return _size_map(library, axes, share, "transmittance", title, POLARISATION_COLOUR[polarisation], **scale)
 
 
 def error_map(library: Library, axes: Axes) -> Axes:
     """Draw the error of complex t over width and length, on a logarithmic scale."""
     error = library.error_of_sizes
-    if not library.known.all():
-        return _along_diameter(library, axes, error, "Error of every diameter", "absolute error of t")
     positive = error[error > 0.0]
     high = float(positive.max()) if positive.size else 1e-6
     low = min(float(positive.min()) if positive.size else high, 0.1 * high)  # at least a decade, for readable ticks
-    norm = LogNorm(low, high)
-    image = show_map(axes, np.maximum(error, low), _extent(library), cmap=ERROR_MAP, norm=norm)
-    colour_bar(image, axes, "absolute error of t")
-    return _dress_map(axes, "Error of every point")
+    scale: dict[str, Any] = {"cmap": ERROR_MAP, "norm": LogNorm(low, high)}
+    return _size_map(library, axes, np.maximum(error, low), "absolute error of t", "Error of every size", **scale)
 
 
 def sensitivity_map(library: Library, axes: Axes, polarisation: Polarisation) -> Axes:
     """Draw the phase change when width and length both grow by 5 nm, to first order; clipped at pi."""
     slope = phase_slope_per_nm(library)[..., 0 if polarisation == "x" else 1]
     turn = np.minimum(np.abs(CD_BIAS_NM * slope), math.pi)
-    if not library.known.all():
-        title = f"Turn by ±{CD_BIAS_NM:g} nm of CD, {polarisation} polarisation"
-        return _along_diameter(library, axes, turn, title, "phase turn / rad")
-    image = show_map(axes, turn, _extent(library), cmap=ERROR_MAP, vmin=0.0, vmax=math.pi)
-    colour_bar(image, axes, "phase turn / rad", (0.0, math.pi / 2, math.pi), ("0", "π/2", "≥ π"))
-    return _dress_map(axes, f"Turn by ±{CD_BIAS_NM:g} nm of CD, {polarisation} polarisation", polarisation)
+    ticks = (0.0, math.pi / 2, math.pi), ("0", "π/2", "≥ π")
+    scale: dict[str, Any] = {"cmap": ERROR_MAP, "vmin": 0.0, "vmax": math.pi, "ticks": ticks}
+    title = f"Turn by ±{CD_BIAS_NM:g} nm of CD, {polarisation} polarisation"
+    return _size_map(library, axes, turn, "phase turn / rad", title, POLARISATION_COLOUR[polarisation], **scale)
 
 
 def coverage(library: Library, axes: Axes) -> Axes:
@@ -95,11 +84,10 @@ def coverage(library: Library, axes: Axes) -> Axes:
     hole = (reached.worst_hole_phase_x_rad, reached.worst_hole_phase_y_rad)
     axes.plot(*hole, "o", mfc="none", mec=X_COLOUR, mew=1.4, ms=11)
     dress(axes, "phase of x / rad", "phase of y / rad", "Coverage, and its largest hole")
-    axes.set_xticks(_PI_TICKS, _PI_LABELS)
-    axes.set_yticks(_PI_TICKS, _PI_LABELS)
+    axes.set_xticks(*_PI_TICKS)
+    axes.set_yticks(*_PI_TICKS)
     axes.set(xlim=(-math.pi, math.pi), ylim=(-math.pi, math.pi), aspect="equal")
-    axes.grid(color=MUTED, linewidth=0.4, alpha=0.35)
-    return axes
+    return finished(axes)
 
 
 def transmittance(library: Library, polarisation: Polarisation) -> FloatArray:
@@ -119,20 +107,27 @@ def _extent(library: Library) -> Extent:
     return (width[0] - half_w, width[-1] + half_w, length[0] - half_l, length[-1] + half_l)
 
 
-def _ridges(library: Library, axes: Axes, polarisation: Polarisation, colour: str) -> None:
+def _ridges(library: Library, axes: Axes, polarisation: Polarisation) -> None:
     share = transmittance(library, polarisation)
     if share.min() < _RIDGE_TRANSMITTANCE < share.max() and min(share.shape) > 1:
-        axes.contour(
-            library.width_nm, library.length_nm, share, [_RIDGE_TRANSMITTANCE], colors=colour, linewidths=0.8, alpha=0.9
-        )
+        line: dict[str, Any] = {"colors": "#ffffff", "linewidths": 0.8, "alpha": 0.9}
+        axes.contour(library.width_nm, library.length_nm, share, [_RIDGE_TRANSMITTANCE], **line)
 
 
-def _along_diameter(library: Library, axes: Axes, values: FloatArray, title: str, label: str) -> Axes:
-    """Draw a quantity of a library of circles over the diameter."""
-    axes.plot(library.width_nm, values.diagonal(), ".-", color=INK, lw=1.0, ms=4)
-    return dress(axes, "diameter / nm", label, title)
-
-
-def _dress_map(axes: Axes, title: str, polarisation: Polarisation | None = None) -> Axes:
-    ink = INK if polarisation is None else POLARISATION_COLOUR[polarisation]
+def _size_map(
+    library: Library,
+    axes: Axes,
+    values: FloatArray,
+    label: str,
+    title: str,
+    ink: str = INK,
+    *,
+    ticks: Ticks = NO_TICKS,
+    **options: Any,
+) -> Axes:
+    """Draw a quantity over width and length; that of a library of circles over the diameter."""
+    if not library.known.all():
+        axes.plot(library.width_nm, values.diagonal(), ".-", color=INK, lw=1.0, ms=4)
+        return dress(axes, "diameter / nm", label, title)
+    colour_bar(show_map(axes, values, _extent(library), **options), axes, label, ticks)
     return dress(axes, "width W / nm", "length L / nm", title, ink)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,14 +17,12 @@ from metafab.report.style import (
     HAIRLINE,
     INK,
     PHASE_MAP,
+    PHASE_TICKS,
     SHARE_MAP,
     X_COLOUR,
     Extent,
-    bare,
-    colour_bar,
     dress,
-    scale_bar,
-    show_map,
+    picture,
 )
 
 
@@ -37,15 +36,14 @@ def fill_map(fill: FloatArray, half_side_um: tuple[float, float], axes: Axes, ma
     extent = (-half_x, half_x, -half_y, half_y)
     # Blocks on the rim lie partly outside the lens and do not set the scale.
     low, high = np.nanpercentile(fill, (2.0, 98.0)) if np.isfinite(fill).any() else (0.0, 1.0)
-    image = show_map(axes, fill, extent, cmap=SHARE_MAP, vmin=low, vmax=high)
-    colour_bar(image, axes, "share covered by pillars")
+    bar = "#ffffff" if np.isfinite(fill[0, 0]) else INK
+    scale: dict[str, Any] = {"cmap": SHARE_MAP, "vmin": low, "vmax": high}
+    picture(axes, fill, extent, "share covered by pillars", "The whole mask", bar=bar, **scale)
     for left, right, low, high in marks_um:
         pad = max(0.0, 0.012 * 2 * half_x - (right - left) / 2)  # visible size of the frame
         corners_x = [left - pad, right + pad, right + pad, left - pad, left - pad]
         corners_y = [low - pad, low - pad, high + pad, high + pad, low - pad]
         axes.plot(corners_x, corners_y, color="#ffffff", linewidth=1.1)
-    bare(axes, "The whole mask")
-    scale_bar(axes, extent, "#ffffff" if np.isfinite(fill[0, 0]) else INK)
     return axes
 
 
@@ -80,11 +78,8 @@ def pillar_outlines(
 def patch_phase(field: ComplexArray, x_um: FloatArray, y_um: FloatArray, axes: Axes, title: str) -> Axes:
     """Draw the phase of a field, shape (n_y, n_x), at the sites (x, y) of a patch on a cyclic scale."""
     extent = _extent(x_um, y_um)
-    image = show_map(axes, np.angle(field), extent, cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
-    colour_bar(image, axes, "phase / rad", (-math.pi, 0.0, math.pi), ("−π", "0", "π"))
-    bare(axes, title)
-    scale_bar(axes, extent, INK)
-    return axes
+    scale: dict[str, Any] = {"cmap": PHASE_MAP, "vmin": -math.pi, "vmax": math.pi}
+    return picture(axes, np.angle(field), extent, "phase / rad", title, bar=INK, ticks=PHASE_TICKS, **scale)
 
 
 def patch_amplitude(
@@ -92,11 +87,8 @@ def patch_amplitude(
 ) -> Axes:
     """Draw the amplitude of a field, shape (n_y, n_x), at the sites (x, y) of a patch, on a scale up to ``largest``."""
     extent = _extent(x_um, y_um)
-    image = show_map(axes, np.abs(field), extent, cmap=SHARE_MAP, vmin=0.0, vmax=largest)
-    colour_bar(image, axes, "field over incident field")
-    bare(axes, title)
-    scale_bar(axes, extent, "#ffffff")
-    return axes
+    scale: dict[str, Any] = {"cmap": SHARE_MAP, "vmin": 0.0, "vmax": largest}
+    return picture(axes, np.abs(field), extent, "field over incident field", title, **scale)
 
 
 def _extent(x_um: FloatArray, y_um: FloatArray) -> Extent:

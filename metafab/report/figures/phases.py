@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -13,10 +14,12 @@ from metafab.report.style import (
     INK,
     LIGHT_MAP,
     PHASE_MAP,
+    PHASE_TICKS,
     POLARISATION_COLOUR,
     Extent,
     bare,
     colour_bar,
+    picture,
     scale_bar,
     show_map,
 )
@@ -30,22 +33,20 @@ def aperture_phase(
     The phase, shape (n, n), has any number of turns, and is NaN outside the aperture.
     """
     extent = (-half_side_um, half_side_um, -half_side_um, half_side_um)
-    image = show_map(axes, wrap_phase(phase_rad), extent, cmap=PHASE_MAP, vmin=-math.pi, vmax=math.pi)
-    colour_bar(image, axes, "phase / rad", (-math.pi, 0.0, math.pi), ("−π", "0", "π"))
-    bare(axes, title, POLARISATION_COLOUR[polarisation])
-    scale_bar(axes, extent, "#ffffff" if np.isfinite(phase_rad[0, 0]) else INK)
-    return axes
+    bar, ink = "#ffffff" if np.isfinite(phase_rad[0, 0]) else INK, POLARISATION_COLOUR[polarisation]
+    scale: dict[str, Any] = {"cmap": PHASE_MAP, "vmin": -math.pi, "vmax": math.pi, "ticks": PHASE_TICKS}
+    return picture(axes, wrap_phase(phase_rad), extent, "phase / rad", title, bar=bar, title_ink=ink, **scale)
 
 
-def wanted_picture(picture: FloatArray, width_um: float, reach_um: float, axes: Axes) -> Axes:
+def wanted_picture(target: FloatArray, width_um: float, reach_um: float, axes: Axes) -> Axes:
     """Draw the target picture, shape (rows, columns) from the top, at its size on the sensor.
 
     ``reach_um`` is half the side of the drawn square about the axis.
     """
     half_x = 0.5 * width_um
-    half_y = half_x * picture.shape[0] / picture.shape[1]
-    brightest = float(picture.max()) or 1.0
-    return _light(picture[::-1] / brightest, (-half_x, half_x, -half_y, half_y), reach_um, axes, "Target picture")
+    half_y = half_x * target.shape[0] / target.shape[1]
+    brightest = float(target.max()) or 1.0
+    return _light(target[::-1] / brightest, (-half_x, half_x, -half_y, half_y), reach_um, axes, "Target picture")
 
 
 def painted_picture(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:

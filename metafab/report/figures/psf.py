@@ -17,15 +17,15 @@ from metafab.report.style import (
     IDEAL,
     INK,
     LIGHT_MAP,
-    MUTED,
     POLARISATION_COLOUR,
     X_COLOUR,
     bare,
-    colour_bar,
     depth_text,
     depth_unit,
     dress,
+    finished,
     legend,
+    picture,
     scale_bar,
     show_map,
 )
@@ -67,11 +67,11 @@ def pair_over_depth(psf: Psf, axes: Axes, *, arrows: bool = True) -> Axes:
         for column, depth in enumerate(chosen):
             x = (column + 0.5) * step
             extent = (x - reach, x + reach, y - reach, y + reach)
-            picture = psf.psf[row, depth, n_y // 2 - half : n_y // 2 + half + 1, n_x // 2 - half : n_x // 2 + half + 1]
-            show_map(axes, picture, extent, cmap=LIGHT_MAP, vmin=0.0, vmax=brightest, interpolation="bilinear")
+            shown = psf.psf[row, depth, n_y // 2 - half : n_y // 2 + half + 1, n_x // 2 - half : n_x // 2 + half + 1]
+            show_map(axes, shown, extent, cmap=LIGHT_MAP, vmin=0.0, vmax=brightest, interpolation="bilinear")
             for along, across in (((x - reach, x + reach), (y, y)), ((x, x), (y - reach, y + reach))):
                 axes.plot(along, across, color="#ffffff", linewidth=0.6, alpha=0.55, solid_capstyle="butt")
-            peak_y, peak_x = np.unravel_index(int(np.argmax(picture)), picture.shape)
+            peak_y, peak_x = np.unravel_index(int(np.argmax(shown)), shown.shape)
             tip = (x + (peak_x - half) * psf.pixel_um, y + (peak_y - half) * psf.pixel_um)
             arrow = {"arrowstyle": "->", "color": "#7fe3c4", "linewidth": 1.3, "shrinkA": 0, "shrinkB": 0}
             if arrows:
@@ -92,16 +92,13 @@ def orientation(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
     if ideal is not None:
         line: dict[str, Any] = {"color": IDEAL, "linewidth": 3.5, "alpha": 0.6, "label": "target phases"}
         axes.plot(scale * ideal.depth_m, _unwrapped(ideal), **line)
-    line = {"color": X_COLOUR, "linewidth": 1.4, "marker": "o", "markersize": 4, "label": "written file"}
+    line = {"color": X_COLOUR, "linewidth": 1.4, "marker": "o", "markersize": 4, "label": ideal and "written file"}
     axes.plot(scale * psf.depth_m, _unwrapped(psf), **line)
     dress(axes, f"object depth / {unit}", "orientation φ / °", "Orientation of the pair over depth")
     # A range of at least two degrees, so that a pair without rotation is a level line.
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, 0.5 * (low + high) - 1.0), max(high, 0.5 * (low + high) + 1.0))
-    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
-    if ideal is not None:
-        legend(axes)
-    return axes
+    return finished(axes)
 
 
 def peak(psf: Psf, axes: Axes, ideal: Psf | None = None, source: str = "written file") -> Axes:
@@ -120,9 +117,7 @@ def peak(psf: Psf, axes: Axes, ideal: Psf | None = None, source: str = "written 
     dress(axes, f"object depth / {unit}", "peak irradiance / µm⁻²", "Peak, per unit power at the aperture")
     highest = max(float(stack.psf.max()) for stack in (psf, *(() if ideal is None else (ideal,))))
     axes.set_ylim(0.0, 1.08 * highest)
-    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
-    legend(axes)
-    return axes
+    return finished(axes)
 
 
 def over_field(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
@@ -161,8 +156,7 @@ def focus_section(focus: FocusFigures, axes: Axes) -> Axes:
         axes.plot(focus.offset_um, section, color=colour, linestyle=style, linewidth=1.4, label=f"along {along}")
     dress(axes, "distance from the maximum / µm", "electric energy density", "cross-sections of the focus")
     axes.set_ylim(0.0, 1.05)
-    legend(axes)
-    return axes
+    return finished(axes)
 
 
 def wavefront_map(front: AberrationFigures, axes: Axes) -> Axes:
@@ -171,11 +165,9 @@ def wavefront_map(front: AberrationFigures, axes: Axes) -> Axes:
     half_x, half_y = 0.5 * float(x[1] - x[0]), 0.5 * float(y[1] - y[0])
     extent = float(x[0]) - half_x, float(x[-1]) + half_x, float(y[0]) - half_y, float(y[-1]) + half_y
     largest = float(np.nanmax(np.abs(front.opd_waves)))
-    image = show_map(axes, front.opd_waves, extent, cmap=CONTRAST_MAP, vmin=-largest, vmax=largest)
-    colour_bar(image, axes, "wavefront error / waves")
-    bare(axes, f"{front.polarisation} polarised", POLARISATION_COLOUR[front.polarisation])
-    scale_bar(axes, extent, INK)
-    return axes
+    scale: dict[str, Any] = {"cmap": CONTRAST_MAP, "vmin": -largest, "vmax": largest, "bar": INK}
+    title, ink = f"{front.polarisation} polarised", POLARISATION_COLOUR[front.polarisation]
+    return picture(axes, front.opd_waves, extent, "wavefront error / waves", title, title_ink=ink, **scale)
 
 
 def modulation(
@@ -192,9 +184,7 @@ def modulation(
         axes.plot(frequency_per_mm, transfer, color=X_COLOUR, linewidth=1.5, linestyle=style, label=name)
     dress(axes, "spatial frequency / mm⁻¹", "modulation transfer", "MTF of x, mean over directions")
     axes.set(xlim=(0.0, float(frequency_per_mm[-1])), ylim=(0.0, 1.0))
-    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
-    legend(axes)
-    return axes
+    return finished(axes)
 
 
 def depth_bias(space: SpaceVarianceFigures, axes: Axes) -> Axes:
@@ -208,9 +198,7 @@ def depth_bias(space: SpaceVarianceFigures, axes: Axes) -> Axes:
         axes.plot(degrees, defocus, color=colour, linewidth=1.0, linestyle=(0, (4, 3)), alpha=0.8)
     axes.plot([], [], color=INK, linewidth=1.0, linestyle=(0, (4, 3)), label="defocus alone")
     dress(axes, "object direction along the split / °", "vergence bias / dioptre", "Depth bias over the field")
-    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
-    legend(axes)
-    return axes
+    return finished(axes)
 
 
 def distortion(space: SpaceVarianceFigures, axes: Axes) -> Axes:

@@ -24,7 +24,7 @@ from metafab.report.style import (
     Y_COLOUR,
     depth_unit,
     dress,
-    legend,
+    finished,
     logarithmic,
 )
 
@@ -39,7 +39,7 @@ def lobe_peak(lobe: LobeOverDepth, axes: Axes) -> Axes:
     axes.plot(lobe.vergence_per_m, lobe.design.peak, color=X_COLOUR, linewidth=1.6, label="this design")
     dress(axes, _FOCUS, "Strehl ratio of the lobe", "Main lobe over one turn")
     axes.set_ylim(0.0, 1.35 * float(max(lobe.design.peak.max(), lobe.plain.peak.max())))
-    return _finished(axes)
+    return finished(axes)
 
 
 def lobe_orientation(lobe: LobeOverDepth, axes: Axes) -> Axes:
@@ -48,7 +48,7 @@ def lobe_orientation(lobe: LobeOverDepth, axes: Axes) -> Axes:
     axes.plot(lobe.vergence_per_m, lobe.law_deg, color=IDEAL, linewidth=3.5, alpha=0.6, label="law of rotation")
     axes.plot(lobe.vergence_per_m, lobe.design.phi_deg, color=X_COLOUR, linewidth=1.4, label="this design")
     dress(axes, _FOCUS, "orientation φ / °", "The lobe turns evenly")
-    return _finished(axes)
+    return finished(axes)
 
 
 def depth_bounds(bounds: DepthBounds, axes: Axes, of: Literal["point", "texture"]) -> Axes:
@@ -64,7 +64,7 @@ def depth_bounds(bounds: DepthBounds, axes: Axes, of: Literal["point", "texture"
     finite = 1e3 * curves[np.isfinite(curves)]
     if finite.size:
         axes.set_ylim(0.6 * float(finite.min()), 6.0 * float(finite.max()))
-    return _finished(axes)
+    return finished(axes)
 
 
 def filter_tradeoff(budget: BandwidthBudget, axes: Axes) -> Axes:
@@ -80,7 +80,7 @@ def filter_tradeoff(budget: BandwidthBudget, axes: Axes) -> Axes:
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
     axes.set_xticks([], minor=True)
     axes.set_ylim(bottom=0.0)
-    return _finished(axes)
+    return finished(axes)
 
 
 def filter_orientation(budget: BandwidthBudget, axes: Axes) -> Axes:
@@ -90,7 +90,7 @@ def filter_orientation(budget: BandwidthBudget, axes: Axes) -> Axes:
     axes.plot(0.0, budget.kept, "o", color=X_COLOUR, label="this design", clip_on=False)
     dress(axes, "split turned against the mask by / °", "information kept", "Direction of the split")
     axes.set(xlim=(0.0, 360.0), ylim=(0.0, 1.0), xticks=(0, 90, 180, 270, 360))
-    return _finished(axes)
+    return finished(axes)
 
 
 def proposed_bounds(choices: Sequence[Proposal], axes: Axes) -> Axes:
@@ -102,7 +102,7 @@ def proposed_bounds(choices: Sequence[Proposal], axes: Axes) -> Axes:
         axes.plot(scale * proposal.depth_m, 100.0 * proposal.crlb_m / proposal.depth_m, label=label, **line)
     dress(axes, f"object depth / {unit}", "σ of depth / depth, %", "Smallest error, unknown texture")
     axes.set_ylim(0.0, 160.0 * max(float((p.crlb_m / p.depth_m).max()) for p in choices[: len(_INKS)]))
-    return _finished(axes)
+    return finished(axes)
 
 
 def proposed_orientation(choices: Sequence[Proposal], axes: Axes) -> Axes:
@@ -112,7 +112,7 @@ def proposed_orientation(choices: Sequence[Proposal], axes: Axes) -> Axes:
         line: dict[str, Any] = {"color": ink, "linewidth": 2.0 if rank == 0 else 1.2}
         axes.plot(scale * proposal.depth_m, proposal.phi_deg - proposal.phi_deg[0], **line)
     dress(axes, f"object depth / {unit}", "turn of the lobe / °", "The lobe turns once at most")
-    return _finished(axes)
+    return finished(axes)
 
 
 def rival_depth_errors(comparison: Comparison, axes: Axes) -> Axes:
@@ -125,7 +125,7 @@ def rival_depth_errors(comparison: Comparison, axes: Axes) -> Axes:
     dress(axes, f"object depth / {unit}", "rms error of depth, %", "Depth of a textured plane")
     logarithmic(axes, "y")
     axes.set_ylim(top=20.0 * 100.0 * float(comparison.error.max()))
-    return _finished(axes)
+    return finished(axes)
 
 
 def rival_sharpness(comparison: Comparison, axes: Axes) -> Axes:
@@ -135,15 +135,8 @@ def rival_sharpness(comparison: Comparison, axes: Axes) -> Axes:
         axes.plot(scale * comparison.depth_m, left, "o-", color=ink, linewidth=1.4, markersize=3, label=name)
     dress(axes, f"object depth / {unit}", "rms left over rms of the texture", "All in focus: error of the sharp image")
     axes.set_ylim(0.0, 1.7 * float(comparison.restored.max()))
-    return _finished(axes)
+    return finished(axes)
 
 
 def _within(value: float, axis: FloatArray) -> bool:
     return bool(axis[0] <= value <= axis[-1])
-
-
-def _finished(axes: Axes) -> Axes:
-    axes.grid(color=MUTED, linewidth=0.4, alpha=0.3)
-    if axes.get_legend_handles_labels()[0]:
-        legend(axes)
-    return axes

@@ -84,7 +84,7 @@ def _pictures(film: Sequence[tuple[RawFrame, Image4D]], frame_interval_s: float)
     ]
     colour_bar(panels[3], places[3], f"depth / {unit}")
     ratios = (1.0 / reach, 1.0, reach)
-    colour_bar(panels[4], places[4], "I_x / I_y", ratios, [f"{ratio:.2g}" for ratio in ratios])
+    colour_bar(panels[4], places[4], "I_x / I_y", (ratios, [f"{ratio:.2g}" for ratio in ratios]))
     caption = figure.text(0.02, 0.012, "", fontsize=9, color=INK)
     canvas: Any = FigureCanvasAgg(figure)
     drawn = []

@@ -256,8 +256,8 @@ def library(run: RunFolder, drawn: Drawn) -> str:
         {}
         if figures is None
         else {
-            "sizes": figures.points_total,
-            "solved sizes": figures.points_solved,
+            "sizes": figures.points_total or None,
+            "solved sizes": figures.points_solved or None,
             "largest error of t": figures.max_error,
             "phase reach / rad": figures.coverage_rad,
         }

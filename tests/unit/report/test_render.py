@@ -118,5 +118,5 @@ def test_colour_bar_spans_the_limits_of_its_picture() -> None:
     low, high = colour_bar(flat, axes, "depth").get_ylim()
     assert low < 5.0 < high, "one value alone still has a scale around it"
     assert flat.get_clim() == (low, high), "and the picture the colours of that scale"
-    named = colour_bar(image, axes, "error", (0.01, 0.1), ("a", "b"))
+    named = colour_bar(image, axes, "error", ((0.01, 0.1), ("a", "b")))
     assert [label.get_text() for label in named.get_yticklabels()] == ["a", "b"]
