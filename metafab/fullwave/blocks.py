@@ -22,7 +22,7 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from metafab.cell import solve as solve_cell
-from metafab.cell.elements import ElementNumerics, supercell_orders
+from metafab.cell.elements.solve import ElementNumerics, supercell_orders
 from metafab.cell.meep import Pool
 from metafab.cell.meep.supercell import refined_orders
 from metafab.cell.supercell import Supercell, SupercellOrders

@@ -15,8 +15,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from metafab.cell import elements
-from metafab.cell.elements import ElementNumerics
+from metafab.cell.elements import solve as spectral_elements
+from metafab.cell.elements.solve import ElementNumerics
 from metafab.cell.meep import Pool, SupercellSettings, solve_supercell
 from metafab.cell.supercell import SupercellResponse
 from metafab.core.conventions import POLARISATIONS, Polarisation
@@ -110,7 +110,7 @@ def measure_coupling(
         if solver == "meep":
             answer = solve_supercell(supercell, light, numerics.meep, pool, progress)
         else:
-            answer = elements.solve_supercell(supercell, light, numerics.rcwa)
+            answer = spectral_elements.solve_supercell(supercell, light, numerics.rcwa)
         rows.append(_row((x, y), axis, solver, order, answer))
         progress("local periods", done, len(todo))
     return Coupling(mask_sha256, tuple(rows))

@@ -10,15 +10,18 @@
 - ``adjoint``   derivatives of orders by all sizes
 """
 
-from metafab.cell.elements.adjoint import OrderGradients, order_gradients
-from metafab.cell.elements.solve import ElementNumerics, orders_at, scattered_by_row, solve_supercell, supercell_orders
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "ElementNumerics",
-    "OrderGradients",
-    "order_gradients",
-    "orders_at",
-    "scattered_by_row",
-    "solve_supercell",
-    "supercell_orders",
-]
+from metafab.core.further import further_names
+
+# Imported when first used: `solve` also treats curved outlines, whose elements are built from those of this folder.
+if not TYPE_CHECKING:
+    __getattr__ = further_names(
+        __name__,
+        {
+            "metafab.cell.elements.adjoint": "OrderGradients order_gradients",
+            "metafab.cell.elements.solve": (
+                "ElementNumerics orders_at scattered_by_row solve_supercell supercell_orders"
+            ),
+        },
+    )

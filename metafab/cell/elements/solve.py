@@ -15,8 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from metafab.cell.curved.supercell import count_functions, curved_layer
 from metafab.cell.elements.assembly import Layer, Waves, grams_of, incident, layer_of
 from metafab.cell.elements.basis import basis_of, elements_of
+from metafab.cell.problem import solve
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.jones import one_thread
 from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
@@ -67,8 +69,6 @@ def solve_supercell(
 
     Errors as :func:`supercell_orders`.
     """
-    from metafab.cell.problem import solve  # it builds on this folder
-
     start = time.perf_counter()
     axis, cells = POLARISATIONS.index(polarisation), supercell.periodic_cells()
     t, error = _converged(supercell, (polarisation,), numerics)
@@ -124,8 +124,6 @@ def scattered_by_row(supercell: Supercell, light: Polarisation, resolution: floa
 
 def _layer(supercell: Supercell, lights: Sequence[Polarisation], resolution: float, order: IntArray) -> Layer:
     if supercell.cell.is_shaped:
-        from metafab.cell.curved.supercell import curved_layer  # it builds on this folder
-
         return curved_layer(supercell, lights, resolution, order)
     basis = basis_of(supercell, lights[0], resolution, mirrored=_is_mirrored(supercell))
     elements = elements_of(basis)
@@ -179,8 +177,6 @@ def _feasible(supercell: Supercell, resolutions: tuple[float, ...]) -> list[floa
     def count(resolution: float) -> int:
         turned = supercell.exchanged() if supercell.shape[1] == 1 else supercell
         if supercell.cell.is_shaped:
-            from metafab.cell.curved.supercell import count_functions
-
             return count_functions(turned, resolution)
         return basis_of(turned, "x", resolution, mirrored=_is_mirrored(turned)).sizes[0]
 

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from metafab.cell import PillarCell
-from metafab.cell.elements import scattered_by_row
+from metafab.cell.elements.solve import scattered_by_row
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.core.parallel.executor import SerialExecutor, stream
