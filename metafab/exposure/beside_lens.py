@@ -20,11 +20,11 @@ from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress
 from metafab.exposure.energy.beside import Beside, OtherLens
 from metafab.exposure.energy.far import REACH
-from metafab.exposure.energy.shapes import strips
 from metafab.exposure.expose import ExposedLens
 from metafab.layout import Outline, PillarMap, lattice_of
 from metafab.mask import ReadBack, shapes_beside
 from metafab.mask.drawing.copies import lens_copies, lens_copy
+from metafab.mask.writing import strips
 from metafab.spec import Design
 
 _log = logging.getLogger(__name__)

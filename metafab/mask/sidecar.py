@@ -307,6 +307,4 @@ def _fractured(pillars: PillarMap, design: Design, outline: Outline) -> NDArray[
     if design.mask.exposure is None or design.mask.tone != "negative":
         return None
     size_dbu = pillars.size_dbu.astype(np.int64)
-    cut = fracture(outline.polygons(size_dbu), design.mask.database_unit_nm, design.mask.exposure)
-    shots = np.zeros_like(cut.trapezoids) if cut.shots is None else cut.shots
-    return np.stack([cut.trapezoids, shots])
+    return fracture(outline.polygons(size_dbu), design.mask.database_unit_nm, design.mask.exposure)

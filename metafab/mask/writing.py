@@ -21,6 +21,9 @@ from metafab.spec import Exposure
 BoolArray = NDArray[np.bool_]
 IntegerArray = NDArray[np.int64]
 
+#: Sides that are compared with strips at once.
+_CROSSINGS = 1 << 22
+
 
 @dataclass(frozen=True)
 class LensLoad:
@@ -82,47 +85,50 @@ def beam_seconds(exposure: Exposure, dose: float, area_um2: FloatArray, shots: F
     return np.maximum(charge_s, shots / (exposure.clock_mhz * 1e6))
 
 
-@dataclass(frozen=True)
-class Fracture:
-    """Trapezoids and shots of each size."""
-
-    trapezoids: IntegerArray  #: Shape (n_sizes + 1,), 0 without a pillar.
-    shots: IntegerArray | None  #: Shape (n_sizes + 1,); None without a shot size.
-
-
-def fracture(polygons: Sequence[NDArray[np.int64]], unit_nm: float, exposure: Exposure) -> Fracture:
+def fracture(polygons: Sequence[NDArray[np.int64]], unit_nm: float, exposure: Exposure) -> IntegerArray:
     """Cut polygons, corners of shape (n, 2) in database units for each size, into trapezoids and shots of the machine.
 
-    A single point stands for no pillar.
+    A single point stands for no pillar. Returns the numbers of both, shape (2, n_sizes + 1); shots are 0 without a shot
+    size.
     """
-    trapezoids = np.zeros(len(polygons), dtype=np.int64)
-    shots = np.zeros(len(polygons), dtype=np.int64)
+    cut = np.zeros((2, len(polygons)), dtype=np.int64)
     for number, polygon in enumerate(polygons):
-        cut = _trapezoids(polygon.astype(np.float64) * unit_nm)
-        trapezoids[number] = len(cut)
-        height, width = cut.T
+        boxes = strips(polygon.astype(np.float64) * unit_nm, math.inf)
+        width, height = (boxes[:, 2:] - boxes[:, :2]).T
+        cut[0, number] = len(boxes)
         if exposure.max_shot_um is not None:
             largest_nm = exposure.max_shot_um * 1e3
-            shots[number] = int((np.ceil(height / largest_nm) * np.ceil(width / largest_nm)).sum())
+            cut[1, number] = int((np.ceil(height / largest_nm) * np.ceil(width / largest_nm)).sum())
         elif exposure.shot_pitch_nm is not None:
-            shots[number] = math.ceil(float((height * width).sum()) / exposure.shot_pitch_nm**2 - 1e-9)
-    known = exposure.max_shot_um is not None or exposure.shot_pitch_nm is not None
-    return Fracture(trapezoids, shots if known else None)
+            cut[1, number] = math.ceil(float((height * width).sum()) / exposure.shot_pitch_nm**2 - 1e-9)
+    return cut
 
 
-def _trapezoids(polygon: FloatArray) -> FloatArray:
-    """Height and mean width of each trapezoid of a polygon cut at all its corners, shape (n, 2)."""
-    start, end = polygon, np.roll(polygon, -1, axis=0)
-    levels = np.unique(polygon[:, 1])
-    middle = 0.5 * (levels[1:] + levels[:-1])[:, None]
-    crossed = (np.minimum(start[:, 1], end[:, 1]) < middle) & (np.maximum(start[:, 1], end[:, 1]) > middle)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = start[:, 0] + (middle - start[:, 1]) / (end[:, 1] - start[:, 1]) * (end[:, 0] - start[:, 0])
-    x = np.sort(np.where(crossed, x, np.inf), axis=1)[:, : 2 * (len(polygon) // 2)]
-    left, right = x[:, ::2], x[:, 1::2]
-    height = np.broadcast_to(np.diff(levels)[:, None], left.shape)
-    inside = np.isfinite(right)
-    return np.stack([height[inside], right[inside] - left[inside]], axis=1)
+def strips(corners_nm: FloatArray, step_nm: float) -> FloatArray:
+    """Rectangles (left, bottom, right, top), shape (m, 4), of the area of a polygon with corners of shape (n, 2).
+
+    Strips along x end at every corner; where sides are inclined they are at most ``step_nm`` high, and as wide as in
+    their middle. Shapes with holes are polygons with slits; parts that overlap an odd number of times count.
+    """
+    start, end = corners_nm, np.roll(corners_nm, -1, axis=0)
+    levels = np.unique(corners_nm[:, 1])
+    if ((start != end).all(axis=1)).any():
+        counts = np.maximum(1, np.ceil(np.diff(levels) / step_nm)).astype(int)
+        ends = [
+            np.linspace(low, high, n, endpoint=False) for low, high, n in zip(levels, levels[1:], counts, strict=False)
+        ]
+        levels = np.concatenate([*ends, levels[-1:]])
+    rises = start[:, 1] != end[:, 1]
+    (x, y), (next_x, next_y) = start[rises].T, end[rises].T
+    found = [np.empty((0, 4))]
+    for part in np.array_split(np.arange(levels.size - 1), 1 + levels.size * x.size // _CROSSINGS):
+        middle = 0.5 * (levels[part] + levels[part + 1])[:, None]
+        strip, side = np.nonzero((np.minimum(y, next_y) <= middle) & (np.maximum(y, next_y) > middle))
+        place = x[side] + (next_x - x)[side] * (middle[strip, 0] - y[side]) / (next_y - y)[side]
+        order = np.lexsort((place, strip))
+        at, row = place[order].reshape(-1, 2), part[strip[order][::2]]
+        found.append(np.stack([at[:, 0], levels[row], at[:, 1], levels[row + 1]], axis=1))
+    return np.concatenate(found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,9 +19,10 @@ from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.far import BLOCK_SITES, LONG_PERIODS, REACH, LongRange
-from metafab.exposure.energy.shapes import Shapes, strips
+from metafab.exposure.energy.shapes import Shapes
 from metafab.layout import Lattice, PillarMap
 from metafab.layout.outlines import RECTANGLE, Outline
+from metafab.mask.writing import strips
 
 #: Range up to which rectangles are summed in closed form (distances of neighbours), and their reach (ranges).
 _CLOSED_PERIODS, _CLOSED_REACH = 2.0, 4.0

@@ -23,8 +23,6 @@ from metafab.layout.outlines import RECTANGLE, Outline
 _STEP = 0.7
 #: Range over the largest side from which a size acts by its second moments: the error is below 1.5e-5 of the term.
 _WIDE = 1.0
-#: Sides that are compared with strips at once.
-_CROSSINGS = 1 << 22
 
 
 @dataclass(frozen=True)
@@ -108,33 +106,6 @@ class Shapes:
                 yield Part(share, half, low, high)
                 if not on_axis:
                     yield Part(share, half, -high, -low)
-
-
-def strips(corners_nm: FloatArray, step_nm: float) -> FloatArray:
-    """Rectangles (left, bottom, right, top), shape (m, 4), of the area of a polygon with corners of shape (n, 2).
-
-    Strips along x end at every corner; where sides are inclined they are at most ``step_nm`` high. Shapes with holes
-    are polygons with slits; parts that overlap an odd number of times count.
-    """
-    start, end = corners_nm, np.roll(corners_nm, -1, axis=0)
-    levels = np.unique(corners_nm[:, 1])
-    if ((start != end).all(axis=1)).any():
-        counts = np.maximum(1, np.ceil(np.diff(levels) / step_nm)).astype(int)
-        ends = [
-            np.linspace(low, high, n, endpoint=False) for low, high, n in zip(levels, levels[1:], counts, strict=False)
-        ]
-        levels = np.concatenate([*ends, levels[-1:]])
-    rises = start[:, 1] != end[:, 1]
-    (x, y), (next_x, next_y) = start[rises].T, end[rises].T
-    found = [np.empty((0, 4))]
-    for part in np.array_split(np.arange(levels.size - 1), 1 + levels.size * x.size // _CROSSINGS):
-        middle = 0.5 * (levels[part] + levels[part + 1])[:, None]
-        strip, side = np.nonzero((np.minimum(y, next_y) <= middle) & (np.maximum(y, next_y) > middle))
-        place = x[side] + (next_x - x)[side] * (middle[strip, 0] - y[side]) / (next_y - y)[side]
-        order = np.lexsort((place, strip))
-        at, row = place[order].reshape(-1, 2), part[strip[order][::2]]
-        found.append(np.stack([at[:, 0], levels[row], at[:, 1], levels[row + 1]], axis=1))
-    return np.concatenate(found)
 
 
 def _quadrant(corners_nm: FloatArray) -> FloatArray:

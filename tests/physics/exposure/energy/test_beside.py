@@ -11,9 +11,9 @@ from scipy.special import erf
 from metafab.core.conventions import FloatArray
 from metafab.exposure import BeamPsf, BeamTerm, Beside, OtherLens, ResistEnergy
 from metafab.exposure.energy.resist import TileEnergy
-from metafab.exposure.energy.shapes import strips
 from metafab.layout import PillarMap
 from metafab.layout.outlines import Outline
+from metafab.mask.writing import strips
 from tests.physics.exposure.conftest import PERIOD_NM, disc, pattern, polygon_energy
 
 SITES = 60
