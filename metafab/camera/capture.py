@@ -61,7 +61,7 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
     yield from _film(scene, psf, _lenses(scene, psf), scene.seed if seed is None else seed, progress)
 
 
-def draws(scene: Scene, psf: Psf, seeds: Iterable[int], *, progress: Progress = silent) -> Iterator[RawFrame]:
+def draws(scene: Scene, psf: Psf, seeds: Iterable[int]) -> Iterator[RawFrame]:
     """Expose the first frame of a scene once for each seed, which changes textures and noise; see :func:`capture`.
 
     Blurs are computed once for all seeds, light too if no texture depends on the seed.
@@ -71,7 +71,7 @@ def draws(scene: Scene, psf: Psf, seeds: Iterable[int], *, progress: Progress = 
     for seed in seeds:
         for lens in lenses if is_drawn else ():
             lens.forget_textures()
-        yield from _film(first, psf, lenses, seed, progress)
+        yield from _film(first, psf, lenses, seed, silent)
 
 
 def _lenses(scene: Scene, psf: Psf) -> list[Lens]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.camera.frames.frame import pixel_axes
 from metafab.core.conventions import FloatArray
 from metafab.core.display import Displayed
 from metafab.core.figures import DecodingFigures, SegmentFigures
@@ -65,10 +66,7 @@ class Image4D(Displayed):
 
     def to_xarray(self) -> xarray.Dataset:
         """All maps over (y_um, x_um); MissingToolError if xarray is not installed."""
-        axes, (n_y, n_x) = ("y_um", "x_um"), self.depth_m.shape
+        axes = pixel_axes(self.depth_m.shape, self.origin_um, self.pixel_um)
         units = {"intensity_x": "electron", "intensity_y": "electron", "contrast": "", "depth_m": "m", "confidence": ""}
-        variables = {name: (axes, getattr(self, name), unit) for name, unit in units.items()}
-        x_um, y_um = (
-            origin + np.arange(count) * self.pixel_um for origin, count in zip(self.origin_um, (n_x, n_y), strict=True)
-        )
-        return dataset({**variables, "segment": (axes, self.segment, "")}, {"y_um": y_um, "x_um": x_um})
+        units["segment"] = ""
+        return dataset({name: (tuple(axes), getattr(self, name), unit) for name, unit in units.items()}, axes)

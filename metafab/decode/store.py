@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from metafab.camera.frames.store import put_axes
 from metafab.core.figures import DecodingFigures, SegmentFigures
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import plain, untimed
-from metafab.core.storage.tables import applicable
+from metafab.core.storage.tables import applicable, typed
 from metafab.decode.image import Image4D
 
 DECODED_KIND = "metafab decoded image"
@@ -34,10 +33,7 @@ _DATASETS = (
 def save(image: Image4D, path: Path, *, inputs_sha256: str = "") -> None:
     """Write a decoded image; an interrupted write leaves no file."""
     with hdf5.create(path, kind=DECODED_KIND, format_version=DECODED_FORMAT, inputs_sha256=inputs_sha256) as file:
-        n_y, n_x = image.depth_m.shape
-        for name, start, count in (("x_um", image.origin_um[0], n_x), ("y_um", image.origin_um[1], n_y)):
-            place = start + image.pixel_um * np.arange(count)
-            hdf5.put(file, name, place, units="um", description=f"{name[0]} on the sensor plane", dims=(name,))
+        put_axes(file, image.depth_m.shape, image.origin_um, image.pixel_um)
         for name, units, description in _DATASETS:
             values = getattr(image, name)
             if values is not None:
@@ -58,26 +54,15 @@ def load(path: Path | str) -> Image4D:
         origin, nmae = file.attrs["origin_um"], file.attrs.get("nmae")
         figures = json.loads(str(file.attrs["details"]))
         return Image4D(
-            arrays["intensity_x"],
-            arrays["intensity_y"],
-            arrays["contrast"],
-            arrays["depth_m"],
-            arrays["confidence"],
-            arrays["segment"].astype(np.int32),
-            (float(origin[0]), float(origin[1])),
-            float(file.attrs["pixel_um"]),
-            tuple(_segment_figures(row) for row in json.loads(str(file.attrs["segments"]))),
-            arrays.get("depth_pixel_m"),
-            arrays.get("contrast_error"),
-            None if nmae is None else float(nmae),
-            DecodingFigures(
-                **{item.name: figures[item.name] for item in fields(DecodingFigures) if item.name in figures}
-            ),
+            **arrays | {"segment": arrays["segment"].astype(np.int32)},
+            origin_um=(float(origin[0]), float(origin[1])),
+            pixel_um=float(file.attrs["pixel_um"]),
+            segments=tuple(_segment_figures(row) for row in json.loads(str(file.attrs["segments"]))),
+            nmae=None if nmae is None else float(nmae),
+            figures=typed(DecodingFigures, figures),
         )
 
 
 def _segment_figures(row: dict[str, float | None]) -> SegmentFigures:
     """Figures of one segment from its JSON object; a figure that is null or missing is NaN."""
-    names = (item.name for item in fields(SegmentFigures))
-    known: dict[str, Any] = {name: math.nan if (value := row.get(name)) is None else value for name in names}
-    return SegmentFigures(**{**known, "number": int(known["number"]), "pixels": int(known["pixels"])})
+    return typed(SegmentFigures, dict.fromkeys(item.name for item in fields(SegmentFigures)) | row)

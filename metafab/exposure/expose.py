@@ -188,9 +188,12 @@ def expose_lenses(
         numerics: classes; samples and kept sizes of the first lens.
 
     Raises:
-        InputError: no pillar, or a pattern that cannot be printed.
+        InputError: no pillar, a pattern that cannot be printed, or shapes of several lenses.
     """
     first = lenses[0]
+    if correction == "shape" and len(lenses) > 1:
+        expected, remedy = "one lens, whose shapes are corrected", 'correct each alone, or use "dose"'
+        raise InputError.single("exposure", "lenses", expected, f"{len(lenses)}", remedy)
     drawn, rounds, class_dose = first.pillars, 0, np.ones(1)
     of_site: Sequence[NDArray[np.uint8] | None] = [None] * len(lenses)
     continuous: dict[Hashable, SizeSums] = {}

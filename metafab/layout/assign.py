@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.figures import LightMapping, MappingFigures
-from metafab.core.parallel.executor import default_workers, in_order
+from metafab.core.parallel.executor import AHEAD, default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import plain
 from metafab.layout.aperture import Aperture
@@ -38,8 +38,6 @@ Result = TypeVar("Result")
 #: Lattices up to this many sites are kept in memory (2 bytes a site); larger ones are mapped again on each reading.
 KEPT_SITES = 1 << 27
 
-#: Tiles in flight while a lens is mapped.
-_AHEAD = 8
 # Rows and columns that are sampled to choose the constant phases.
 _SAMPLED_LINES = 1000
 # Retardances (rad) that differ by less are equal: those of files in single precision, or with three decimals, differ by
@@ -102,7 +100,7 @@ def assign(
     assert total is not None  # An aperture holds at least one site, and so one tile.
 
     def remapped(
-        function: Callable[[PillarTile], Any], executor: Executor | None = executor, ahead: int = _AHEAD
+        function: Callable[[PillarTile], Any], executor: Executor | None = executor, ahead: int = AHEAD
     ) -> Iterator[Any]:
         """Map all tiles again, and yield ``function`` of each."""
         return (found for found, _ in _mapped(mapping, corners, executor, function, ahead))
@@ -161,7 +159,7 @@ def _mapped(
     corners: list[tuple[int, int]],
     executor: Executor | None,
     function: Callable[[PillarTile], Result],
-    ahead: int = _AHEAD,
+    ahead: int = AHEAD,
 ) -> Iterator[tuple[Result, TileSums]]:
     """Function and sums of each tile in order, at most ``ahead`` in flight, by default on threads of this process."""
     # The choice for several lights is a matrix product; its threads would compete with those of the tiles.

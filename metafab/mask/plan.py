@@ -92,7 +92,7 @@ def plan(
         core_hours=(sum(seconds.values()) - prepared) * workers / 3600.0,
         bytes=sizes,
         workers=workers,
-        advice=_advice(sizes, GDSII_COMFORT_BYTES),
+        advice=_advice(sizes),
     )
 
 
@@ -109,8 +109,8 @@ def _encoded_bytes(writer: MaskWriter, stamps: Stamps, tile: PillarTile) -> int:
     return sum(piece.size for part in stamps.of(tile) for piece in writer.encoder(*part).content)
 
 
-def announcement(design: Design, comfort_bytes: int = GDSII_COMFORT_BYTES) -> list[str]:
-    """Warn before a mask is written whose GDSII file would be larger than ``comfort_bytes``, what most readers take.
+def announcement(design: Design) -> list[str]:
+    """Warn before a mask is written whose GDSII file would be larger than most readers take.
 
     Nothing is mapped for it: every pillar is a BOUNDARY of 64 bytes (shapes other than rectangles: a reference of 40),
     once for each bias of ``mask.copies`` (in a flat mask for each copy), and an inverted field adds four per pillar.
@@ -118,11 +118,11 @@ def announcement(design: Design, comfort_bytes: int = GDSII_COMFORT_BYTES) -> li
     if "gds" not in design.mask.formats:
         return []
     words = BOUNDARY_WORDS if Outline.of(design).is_rectangle else REFERENCE_WORDS
-    return _advice({"gds": Aperture.of(design).count * shapes_per_pillar(design) * words * 4}, comfort_bytes)
+    return _advice({"gds": Aperture.of(design).count * shapes_per_pillar(design) * words * 4})
 
 
-def _advice(sizes: dict[str, int], comfort_bytes: int) -> list[str]:
-    if sizes.get("gds", 0) <= comfort_bytes:
+def _advice(sizes: dict[str, int]) -> list[str]:
+    if sizes.get("gds", 0) <= GDSII_COMFORT_BYTES:
         return []
     text = f"layout.gds would have {sizes['gds'] / 1e9:.1f} GB, more than many GDSII readers take (2.1 GB)"
     return [f"{text}; write 'oas' (set mask.formats = [\"oas\"])"]

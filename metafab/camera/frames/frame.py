@@ -71,6 +71,11 @@ class RawFrame(Displayed):
 
     def to_xarray(self) -> xarray.Dataset:
         """The frame over (y_um, x_um) on the sensor; MissingToolError without xarray."""
-        (x, y), (n_y, n_x) = self.origin_um, self.frame.shape
-        coordinates = {"y_um": y + np.arange(n_y) * self.pixel_um, "x_um": x + np.arange(n_x) * self.pixel_um}
-        return dataset({"frame": (("y_um", "x_um"), self.frame, "electron")}, coordinates)
+        axes = pixel_axes(self.frame.shape, self.origin_um, self.pixel_um)
+        return dataset({"frame": (tuple(axes), self.frame, "electron")}, axes)
+
+
+def pixel_axes(shape: tuple[int, ...], origin_um: tuple[float, float], pixel_um: float) -> dict[str, FloatArray]:
+    """Places on the sensor of the rows, ``y_um``, and columns, ``x_um``, of a picture of shape (n_y, n_x)."""
+    starts = {"y_um": (origin_um[1], shape[0]), "x_um": (origin_um[0], shape[1])}
+    return {name: np.asarray(start + pixel_um * np.arange(count)) for name, (start, count) in starts.items()}

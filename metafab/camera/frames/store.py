@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 
-from metafab.camera.frames.frame import RawFrame, Truth
+from metafab.camera.frames.frame import RawFrame, Truth, pixel_axes
 from metafab.core.errors import Fault, InputError
 from metafab.core.storage import hdf5
 from metafab.spec.fields import LARGEST
@@ -107,8 +107,7 @@ def _faults(frame: RawFrame) -> list[Fault]:
 
 def put_axes(group: h5py.Group, shape: tuple[int, ...], origin_um: tuple[float, float], pixel_um: float) -> None:
     """Write the places of the columns and rows of a picture (n_y, n_x) as the scales ``x_um`` and ``y_um``."""
-    for name, start, count in (("x_um", origin_um[0], shape[1]), ("y_um", origin_um[1], shape[0])):
-        place = start + pixel_um * np.arange(count)
+    for name, place in pixel_axes(shape, origin_um, pixel_um).items():
         hdf5.put(group, name, place, units="um", description=f"{name[0]} on the sensor plane", dims=(name,))
 
 

@@ -24,6 +24,9 @@ Result = TypeVar("Result")
 
 _kept_threads: ContextVar[ThreadPoolExecutor | None] = ContextVar("_kept_threads", default=None)
 
+#: Pieces of work that are submitted and not yet yielded, unless a caller says otherwise.
+AHEAD = 8
+
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -136,7 +139,7 @@ def _submitter(executor: Executor, function: Callable[[Item], Result]) -> Callab
 
 
 def stream(
-    executor: Executor, function: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = 8
+    executor: Executor, function: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = AHEAD
 ) -> Iterator[tuple[Item, Result]]:
     """Apply ``function`` to each item and yield (item, result) pairs as they finish.
 
@@ -156,7 +159,7 @@ def stream(
 
 
 def in_order(
-    executor: Executor, function: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = 8
+    executor: Executor, function: Callable[[Item], Result], items: Iterable[Item], *, ahead: int = AHEAD
 ) -> Generator[Result]:
     """Apply ``function`` to each item and yield the results in the order of the items, at most ``ahead`` in flight.
 

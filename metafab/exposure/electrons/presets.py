@@ -80,7 +80,7 @@ def preset(name: str) -> BeamPsf:
     return BeamPsf.fitted(rows[:, 0], rows[:, 1], f"Monte Carlo by metafab: {PRESETS[name].description}")
 
 
-def simulated(name: str, electrons: int = 60_000) -> ElectronHistogram:
+def simulated(name: str) -> ElectronHistogram:
     """Simulate the table of a preset again."""
     chosen = PRESETS[name]
-    return simulate(chosen.stack, chosen.beam_kev, electrons, resist=chosen.resist)
+    return simulate(chosen.stack, chosen.beam_kev, 60_000, resist=chosen.resist)

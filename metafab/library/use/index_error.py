@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Executor
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from metafab.cell import CellNumerics, pillar_cell, solve
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.library.library import Library
 
 #: Sizes that are solved twice; an rms needs fewer than a maximum.
 SAMPLES = 16
 
 
-def index_phase_error_rad(library: Library, *, executor: Executor | None = None, samples: int = SAMPLES) -> float:
+def index_phase_error_rad(library: Library, *, samples: int = SAMPLES) -> float:
     """Return the rms phase error (rad) by the standard uncertainty ``n_error`` of the pillar's index; 0 without one.
 
     ``samples`` sizes, spread evenly over the sweep, are solved with the index as given and with the index raised by
@@ -35,9 +32,8 @@ def index_phase_error_rad(library: Library, *, executor: Executor | None = None,
     cells = [pillar_cell(unit_cell, float(width), float(length)) for width, length in sizes]
     raised = [replace(cell, n_pillar=cell.n_pillar + n_error) for cell in cells]
     # The library's target suffices: the truncation error is common to both solutions and cancels.
-    solver = partial(solve, numerics=CellNumerics(sweep.target_error))
-    answers = in_order(executor or SerialExecutor(), solver, [*cells, *raised])
-    t = np.array([np.diagonal(answer.t) for answer in answers])
+    numerics = CellNumerics(sweep.target_error)
+    t = np.array([np.diagonal(solve(cell, numerics).t) for cell in [*cells, *raised]])
     return phase_rms_rad(t[:samples], t[samples:])
 
 

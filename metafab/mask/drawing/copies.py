@@ -109,18 +109,11 @@ class OtherCopies:
         }
         self.counts = dict.fromkeys(self._centres, 0)
 
-    def without(self, rectangles: IntArray, shift: IntArray) -> IntArray:
-        """Return the rectangles whose centres lie in no other copy, shape (m, 4), not shifted.
-
-        Rectangles (x, y, width, height), shape (n, 4), are in file units; ``shift``, shape (2,), is to be added to x
-        and y.
-        """
-        return self.apart(rectangles, shift)[0]
-
     def apart(self, rectangles: IntArray, shift: IntArray) -> tuple[IntArray, dict[int, IntArray]]:
-        """Divide rectangles as :meth:`without`: those in no other copy, and of each other copy.
+        """Divide rectangles by their centres: those in no other copy, and those of each other copy that has any.
 
-        Both of shape (m, 4); a copy without rectangles is not listed.
+        Rectangles (x, y, width, height), shape (n, 4) and (m, 4), are in file units and not shifted; ``shift``, shape
+        (2,), is to be added to x and y.
         """
         found: dict[int, IntArray] = {}
         if not self._centres or not len(rectangles):

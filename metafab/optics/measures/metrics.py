@@ -119,8 +119,8 @@ def rotation_deg(psf: Psf) -> float:
     return float(turn[-1] - turn[0])
 
 
-def depth_of_field_dioptre(psf: Psf, share: float = 0.8) -> FloatArray:
-    """Return the span of vergence about the brightest depth over which the peak exceeds ``share`` of the highest.
+def depth_of_field_dioptre(psf: Psf) -> FloatArray:
+    """Return the span of vergence about the brightest depth over which the peak exceeds 80 % of the highest.
 
     Its shape is (2,). Peaks are linear between depths. If the span reaches an end of the stack, the value is a lower
     bound.
@@ -128,7 +128,7 @@ def depth_of_field_dioptre(psf: Psf, share: float = 0.8) -> FloatArray:
     peaks, vergence = peak_irradiance(psf), 1.0 / psf.depth_m
     spans = []
     for curve in peaks:
-        best, level = int(np.argmax(curve)), share * float(curve.max())
+        best, level = int(np.argmax(curve)), 0.8 * float(curve.max())
         ends = [_crossing(vergence[best::step], curve[best::step], level) for step in (1, -1)]
         spans.append(abs(ends[0] - ends[1]))
     return np.array(spans)
