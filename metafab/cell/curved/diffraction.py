@@ -1,4 +1,4 @@
-"""Efficiencies of single orders of a cell that is solved by spectral elements alone."""
+"""Efficiencies of single orders of a cell that is solved by spectral elements."""
 
 from __future__ import annotations
 

@@ -67,9 +67,7 @@ def cell_command(
     numerics = cell.CellNumerics(target_error=target_error or spec.sweep.target_error, solver=name)
     answer = cell.solve(problem, numerics)
     is_fdtd = name == "meep"
-    # RCWA has no rings, and no ellipses of a hexagonal lattice.
-    by_elements_alone = problem.shape == "ring" or (problem.is_staggered and problem.is_shaped)
-    diffraction = curved_diffraction if by_elements_alone else rcwa.diffraction
+    diffraction = curved_diffraction if answer.numerics.solver == "elements" else rcwa.diffraction
     (t_xx, t_xy), (t_yx, t_yy) = answer.t
     figures = CellFigures(
         t_xx=complex(t_xx),
