@@ -110,7 +110,7 @@ def _floors(design: Design, summary: RunSummary, folder: Path) -> dict[str, floa
     rows_px, columns_px = scene.field_px
     step = decode.step_px or 1
     return {
-        "library": (library.points_solved or 0) * solver_s(design.unit_cell),
+        "library": library.points_solved * solver_s(design.unit_cell),
         "layout": written_s(folder / "floor", sum(path.stat().st_size for path in masks)),
         "drc": read_s(masks),
         "psf": passes_s(layout.pillars) + windows * window_s(round(psf.blocks or 1), design.verify.window_px),

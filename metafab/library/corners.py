@@ -2,33 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from metafab.core.conventions import FloatArray
+from metafab.core.figures import CornerStatistics
 from metafab.library.axes import Corner, CornerBox
 from metafab.library.fit.certificate import NEIGHBOURS, disagreement_estimate, steepness
 from metafab.library.fit.models import RankedModels
 from metafab.library.fit.rational import RationalModel
-
-
-@dataclass(frozen=True)
-class CornerStatistics:
-    """Statistics of the adaptive sampling over sizes and axes, equal on every machine."""
-
-    points_solved: int = 0  #: Cells solved.
-    rounds: int = 0  #: Rounds of solving.
-    held_out: int = 0  #: Cells of the last round that were predicted before they were solved, the worst ones aside.
-    held_out_error: float = math.nan  #: Largest error of these predictions.
-    held_out_rms: float = math.nan  #: Rms error of these predictions.
-    open_share: float = math.nan  #: Share of the box whose error estimate is above the tolerance.
-    target: str = ""  #: "reached", or "not reached ..." with the reason.
-    axis_weight: int = 0  #: Factor of an axis' power in the model's total degree.
-    numerator_degree: int = 0  #: Total degree of the model's numerators.
-    denominator_degree: int = 0  #: Total degree of the model's denominator.
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -14,6 +13,7 @@ from metafab.cell import PillarCell, is_square
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.display import Displayed
 from metafab.core.errors import InputError
+from metafab.core.figures import BuildStatistics
 from metafab.core.labelled import dataset
 from metafab.core.storage.files import fingerprint
 from metafab.core.storage.provenance import contents_sha256, sources_sha256
@@ -33,27 +33,6 @@ if TYPE_CHECKING:
 BUILT_BY = ("metafab.library.sweep.build", "metafab.cell.meep_worker")
 #: Packages whose data files count as source: index tables.
 TABLES = ("materials",)
-
-
-@dataclass(frozen=True)
-class BuildStatistics:
-    """Statistics of a build, independent of the machine; NaN or 0 where one does not apply."""
-
-    points_solved: int = 0  #: Sizes solved, on and off the grid.
-    points_between: int = 0  #: Sizes solved off the grid.
-    points_total: int = 0  #: Sizes of the library.
-    max_error: float = math.nan  #: Largest error bound of a size.
-    sizes_beyond_target: int = 0  #: Sizes whose error bound is above the target error.
-    max_solver_error: float = math.nan  #: Largest solver error in the error bounds.
-    max_model_error: float = math.nan  #: Largest model error in the error bounds of unsolved sizes.
-    max_between_error: float = math.nan  #: Largest error bound between the sizes; NaN if the library is not continuous.
-    held_out_error: float = math.nan  #: Largest error of the model at sizes that it was not fitted to.
-    held_out: int = 0  #: Number of these sizes.
-    rounds: int = 0  #: Rounds of solving.
-    numerator_degree: int = 0  #: Total degree of the model's numerators.
-    denominator_degree: int = 0  #: Total degree of the model's denominator.
-    #: Covered part of the phase circle (:func:`metafab.library.use.quality.coverage_rad`).
-    coverage_rad: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -15,12 +15,13 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError
+from metafab.core.figures import BuildStatistics, CornerStatistics
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import plain
-from metafab.library.corners import Corners, CornerStatistics
+from metafab.library.corners import Corners
 from metafab.library.fit.models import RankedModels
 from metafab.library.fit.rational import Range, RationalModel, Shape
-from metafab.library.library import BuildStatistics, Library, inputs_of
+from metafab.library.library import Library, inputs_of
 from metafab.library.neighbours.storage import neighbours_of, put_neighbours
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.toml import LIBRARY_FORMAT, LIBRARY_KIND, embedded_unit_cell

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from metafab.core.errors import InputError
-from metafab.core.storage.files import plain
+from metafab.core.figures import BuildStatistics, CornerStatistics, LineStatistics, Quality
 from metafab.core.storage.latest import Latest, file_mark
-from metafab.core.storage.tables import optional, typed
+from metafab.core.storage.tables import optional
 from metafab.spec import Design
 from metafab.steps.job import Job, Step, no_mask, relative_to
 
@@ -24,70 +24,27 @@ _OPENED: Latest[Library] = Latest()
 _JUDGED: Latest[LibraryFigures] = Latest()
 
 
-@dataclass(frozen=True)
-class LibraryFigures:
-    """Quality of a library and figures of its build, which are None where its file does not hold them.
-
-    The fields are those of :func:`metafab.library.quality`, of :class:`metafab.library.library.BuildStatistics` and,
-    with the prefixes ``neighbours_`` and ``corner_``, of :class:`metafab.library.neighbours.LineStatistics` and
-    :class:`metafab.library.corners.CornerStatistics`. A current run imports none of them.
-    """
+@dataclass(frozen=True, kw_only=True)
+class LibraryFigures(BuildStatistics, Quality):
+    """Quality of a library, statistics of its build, and those of its models of neighbours and corners."""
 
     file: str  #: Path of the library, relative to the run folder.
-    coverage_rad: float
-    torus_coverage: float
-    worst_hole_rad: float
-    worst_hole_phase_x_rad: float
-    worst_hole_phase_y_rad: float
-    phase_rms_error_rad: float
-    phase_max_error_rad: float
-    mean_transmittance: float
-    mean_overlap: float
-    cd_phase_rms_rad: float
     index_phase_error_rad: float | None  #: See :func:`metafab.library.index_phase_error_rad`.
-    points_solved: int | None = optional()
-    points_between: int | None = optional()
-    points_total: int | None = optional()
-    max_error: float | None = optional()
-    sizes_beyond_target: int | None = optional()
-    max_solver_error: float | None = optional()
-    max_model_error: float | None = optional()
-    max_between_error: float | None = optional()
-    held_out_error: float | None = optional()
-    held_out: int | None = optional()
-    rounds: int | None = optional()
-    numerator_degree: int | None = optional()
-    denominator_degree: int | None = optional()
-    neighbours_rows: int | None = optional()
-    neighbours_held_out: int | None = optional()
-    neighbours_local_period_error: float | None = optional()
-    neighbours_error: float | None = optional()
-    neighbours_error_unlike: float | None = optional()
-    neighbours_error_alike: float | None = optional()
-    neighbours_error_p90: float | None = optional()
-    neighbours_error_fitted: float | None = optional()
-    neighbours_solver_error: float | None = optional()
-    neighbours_error_floor: float | None = optional()
-    neighbours_error_slope: float | None = optional()
-    corner_points_solved: int | None = optional()
-    corner_rounds: int | None = optional()
-    corner_held_out: int | None = optional()
-    corner_held_out_error: float | None = optional()
-    corner_held_out_rms: float | None = optional()
-    corner_open_share: float | None = optional()
-    corner_target: str | None = optional()
-    corner_axis_weight: float | None = optional()
-    corner_numerator_degree: int | None = optional()
-    corner_denominator_degree: int | None = optional()
+    neighbours: LineStatistics | None = optional()  #: None without a model of neighbours; likewise corners.
+    corners: CornerStatistics | None = optional()
 
     @classmethod
     def of(cls, library: Library, file: str) -> LibraryFigures:
         """Compute the figures of a library; ``file`` is its path from the run folder."""
         from metafab.library import index_phase_error_rad, quality
-        from metafab.library.store import statistics_json
 
-        index_error = {"index_phase_error_rad": index_phase_error_rad(library)}
-        return typed(cls, {"file": file, **plain(quality(library)), **index_error, **statistics_json(library)})
+        return cls(
+            file=file,
+            index_phase_error_rad=index_phase_error_rad(library),
+            neighbours=None if library.neighbours is None else library.neighbours.overall,
+            corners=None if library.corners is None else library.corners.statistics,
+            **(vars(library.statistics) | vars(quality(library))),
+        )
 
 
 def library_path(job: Job) -> Path:

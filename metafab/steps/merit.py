@@ -14,7 +14,7 @@ import numpy as np
 
 from metafab.core.conventions import POLARISATIONS, FloatArray
 from metafab.core.errors import InputError
-from metafab.core.figures import AberrationFigures, FocusFigures, Loss, Wavefront
+from metafab.core.figures import AberrationFigures, FocusFigures, Loss, SpaceVariance, Wavefront
 from metafab.core.storage.files import file_sha256, write_json
 from metafab.core.storage.tables import optional, typed
 from metafab.spec import Design, Light
@@ -57,18 +57,13 @@ class LossChainFigures:
     efficiency: tuple[float, ...]  #: Share of the light through the pinhole, x and y polarisation.
 
 
-@dataclass(frozen=True)
-class SpaceVarianceFigures:
-    """Image points and aberrations over the field, x and y polarisation."""
+@dataclass(frozen=True, kw_only=True)
+class SpaceVarianceFigures(SpaceVariance):
+    """Aberrations over the field at one depth, and the depth bias that they cause."""
 
     depth_m: float  #: Object depth.
-    tangent_x: FloatArray  #: Shape (n_x,), object directions x/z.
-    tangent_y: FloatArray  #: Shape (n_y,), object directions y/z.
-    defocus_dioptre: FloatArray  #: Shape (2, n_y, n_x), defocus.
-    astigmatism_dioptre: FloatArray  #: Shape (2, n_y, n_x), astigmatism.
     #: Shape (2, n_y, n_x), vergence of the most similar PSF on the axis minus that of the object.
     seen_bias_dioptre: FloatArray
-    distortion_um: FloatArray  #: Shape (2, n_y, n_x, 2), shift (x, y) of the image points from those of a pinhole.
 
 
 @dataclass(frozen=True)
@@ -304,15 +299,8 @@ def _space_variance(imaging: Imaging, written: Psf) -> SpaceVarianceFigures | No
         return None
     middle_m = float(written.depth_m[written.depth_m.size // 2])
     field = space_variance(imaging, written.field.tangent_x, written.field.tangent_y, middle_m)
-    return SpaceVarianceFigures(
-        middle_m,
-        field.tangent_x,
-        field.tangent_y,
-        field.defocus_dioptre,
-        field.astigmatism_dioptre,
-        depth_bias_dioptre(written),
-        field.distortion_um,
-    )
+    bias_dioptre = depth_bias_dioptre(written)
+    return SpaceVarianceFigures(**vars(field), depth_m=middle_m, seen_bias_dioptre=bias_dioptre)
 
 
 def _light_path(job: Job, light: Light) -> Path:

@@ -145,7 +145,7 @@ def _errors_of_mask(library: LibraryFigures | None, layout: LayoutFigures | None
 
     The library error is that of all sizes where the layout does not state it.
     """
-    largest = None if library is None else library.max_error
+    largest = None if library is None or math.isnan(library.max_error) else library.max_error
     if layout is None:
         return largest, None
     lights = [light.figures for light in layout.lights or ()] or [layout]
@@ -155,11 +155,12 @@ def _errors_of_mask(library: LibraryFigures | None, layout: LayoutFigures | None
 
 def _neighbours_line(summary: RunSummary) -> BudgetLine:
     """Error of the light of unlike neighbours: of the model if the PSFs used it, else of the approximation."""
-    psf, library, coupling = summary.psf, summary.library, summary.coupling
-    if psf is not None and psf.with_neighbours and library is not None:
+    psf, coupling = summary.psf, summary.coupling
+    if psf is not None and psf.with_neighbours and summary.library is not None:
+        statistics = summary.library.neighbours
         return BudgetLine(
             "model of unlike neighbours",
-            library.neighbours_error_alike,
+            None if statistics is None else statistics.error_alike,
             "relative L2",
             "field of held-out rows whose phases change steadily, by the library's model against the solver",
         )
@@ -254,10 +255,10 @@ def ledger(
 
 def _of_library(library: LibraryFigures) -> Iterator[Saving]:
     solved, total = library.points_solved, library.points_total
-    if solved is None or total is None or solved >= total:
+    if not 0 < solved < total:
         return
     why = "mirror images about the diagonal exchange x and y polarisation"
-    if not library.max_model_error:
+    if not library.max_model_error > 0.0:  # NaN without a model
         yield Saving("library", "unit cells", solved, total, why)
         return
     why += ", and a rational model gives the other sizes; it was tested at sizes that it was not fitted to"

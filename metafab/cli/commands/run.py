@@ -158,4 +158,4 @@ def _library_error(library: LibraryFigures, layout: LayoutFigures | None) -> dic
     if layout is not None and layout.library_error is not None:
         worst = f"{layout.worst_library_error:.2g} at worst"
         return {"library error": f"{layout.library_error:.2g} of complex t (rms over the pillars), {worst}"}
-    return {} if library.max_error is None else {"library error": f"{library.max_error:.2g} of complex t at most"}
+    return {"library error": f"{library.max_error:.2g} of complex t at most"}

@@ -20,10 +20,11 @@ from scipy.spatial import Delaunay, QhullError, cKDTree
 from metafab.cell import is_square, pillar_cell
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
+from metafab.core.figures import BuildStatistics
 from metafab.core.storage.files import file_sha256, fingerprint
 from metafab.library.fit.size_grid import SizeGrid
 from metafab.library.foreign.table import Quantity, SweepTable, read_sweep
-from metafab.library.library import BuildStatistics, Library
+from metafab.library.library import Library
 from metafab.library.use.quality import coverage_rad
 from metafab.spec import UnitCell
 

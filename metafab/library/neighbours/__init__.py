@@ -10,7 +10,8 @@
 - ``storage``     chains in the file of a library
 """
 
+from metafab.core.figures import LineStatistics
 from metafab.library.neighbours.evaluation import require_neighbours, solve_supercell
-from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
+from metafab.library.neighbours.model import Neighbours, TrainedLine
 
 __all__ = ["LineStatistics", "Neighbours", "TrainedLine", "require_neighbours", "solve_supercell"]

@@ -6,34 +6,8 @@ import math
 from dataclasses import dataclass
 
 from metafab.core.conventions import Polarisation
+from metafab.core.figures import LineStatistics
 from metafab.library.neighbours.line import LineModel
-
-
-@dataclass(frozen=True)
-class LineStatistics:
-    """Errors of one chain on solved rows, relative rms of the transmitted field over the propagating orders."""
-
-    rows: int = 0  #: Rows that the chain was fitted to.
-    held_out: int = 0  #: Rows that only the errors below were taken from.
-    local_period_error: float = math.nan  #: Rms error of the local-period approximation on the held-out rows.
-    error: float = math.nan  #: Rms error of the chain on the held-out rows.
-    error_unlike: float = math.nan  #: Rms error on held-out rows of random sizes.
-    error_alike: float = math.nan  #: Rms error on held-out rows with phases that change steadily, as in a lens.
-    error_p90: float = math.nan  #: 90th percentile of the errors on rows with steady phases.
-    error_fitted: float = math.nan  #: Rms error on the rows of the fit.
-    solver_error: float = math.nan  #: Rms error of the solved rows, from a sample solved more finely.
-    error_floor: float = math.nan  #: Smallest stated error of a row.
-    #: Stated error per relative correction of the field and relative step of t from site to site, on top of the floor.
-    error_slope: float = math.nan
-
-    def stated_error(self, correction: float, step: float) -> float:
-        """Stated relative error of a row.
-
-        Args:
-            correction: rms correction of its field over its rms field.
-            step: rms step of t from site to site over rms t.
-        """
-        return self.error_floor + self.error_slope * correction * step
 
 
 @dataclass(frozen=True)

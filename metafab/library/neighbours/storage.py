@@ -8,9 +8,10 @@ from dataclasses import fields
 import h5py
 import numpy as np
 
+from metafab.core.figures import LineStatistics
 from metafab.core.storage import hdf5
 from metafab.library.neighbours.line import PARAMETERS, LineModel, LineShape
-from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
+from metafab.library.neighbours.model import Neighbours, TrainedLine
 
 _TEXT = {
     "site": "free elements of the site matrix, by term of T_i(along) T_j(across), i + j up to the degree",

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 from metafab.cell import is_square, pillar_cell
 from metafab.cell.supercell import Supercell, exchanged_site
 from metafab.core.conventions import POLARISATIONS, FloatArray, Polarisation
+from metafab.core.figures import LineStatistics
 from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import fingerprint
@@ -22,7 +23,7 @@ from metafab.core.storage.provenance import sources_sha256
 from metafab.library.library import Library, inputs_of
 from metafab.library.neighbours.fit import FitLimits, RowSet, fit, loss
 from metafab.library.neighbours.line import LineModel, LineShape, grown, initial_model
-from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
+from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.library.neighbours.rows import RESOLUTION, ROW_KINDS, RowSampler, is_steady, kind_of, solve_rows
 from metafab.library.neighbours.solve import line_corrections
 from metafab.library.sweep.checkpoint import Checkpoint

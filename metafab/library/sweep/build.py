@@ -15,12 +15,13 @@ from threadpoolctl import threadpool_limits
 
 from metafab.cell import CellNumerics, CellSolver, pillar_cell, seconds_estimate, solve
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.figures import BuildStatistics
 from metafab.core.parallel.executor import SerialExecutor
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.axes import CornerBox, corner_cell, corner_unit_cell
 from metafab.library.corners import Corners
 from metafab.library.fit.size_grid import SizeGrid
-from metafab.library.library import BuildStatistics, BuildTime, Library, inputs_of
+from metafab.library.library import BuildTime, Library, inputs_of
 from metafab.library.store import is_current, load, save
 from metafab.library.sweep.adaptive_sampling import FIRST_ROUND, GridSampling, PointSolver, amplitudes_of, sample_grid
 from metafab.library.sweep.checkpoint import Checkpoint

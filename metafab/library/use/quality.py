@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from metafab.core.conventions import ComplexArray, FloatArray, covered_rad, wrap_phase
+from metafab.core.figures import Quality
 from metafab.library.library import Library
 from metafab.library.use.amplitudes import power_transmittance
 from metafab.library.use.lookup import best_overlap, phase_slope_per_nm
@@ -21,23 +21,6 @@ REACH_RAD = 0.1
 LEAST_TRANSMITTANCE = 0.5
 #: Bias (nm) of width and length together for which the sensitivity is given.
 CD_BIAS_NM = 5.0
-
-
-@dataclass(frozen=True)
-class Quality:
-    """Figures of merit of a library, for target phases spread evenly over the (phi_x, phi_y) torus."""
-
-    coverage_rad: float  #: Covered part of the phase circle (:func:`coverage_rad`).
-    torus_coverage: float  #: Share of all pairs of phases that are covered.
-    #: Largest distance of a pair of phases from the sizes with high transmittance, in the worse phase.
-    worst_hole_rad: float
-    worst_hole_phase_x_rad: float  #: Phase of x at that pair, in (-pi, pi].
-    worst_hole_phase_y_rad: float  #: Phase of y at that pair, in (-pi, pi].
-    phase_rms_error_rad: float  #: Rms phase error of the sizes with the best overlap, both polarisations.
-    phase_max_error_rad: float  #: Largest phase error of these sizes.
-    mean_transmittance: float  #: Mean power transmittance of these sizes.
-    mean_overlap: float  #: Mean field overlap of these sizes; 1 for full transmittance without phase error.
-    cd_phase_rms_rad: float  #: Rms phase change of these sizes when both sides grow by 5 nm, to first order.
 
 
 def coverage_rad(library: Library) -> float:

@@ -9,11 +9,10 @@ pair responds to astigmatism, too, and errs by 1.4 times the defocus.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from metafab.core.conventions import FloatArray
+from metafab.core.figures import SpaceVariance
 from metafab.core.numeric.peaks import parabolic_maximum
 from metafab.core.numeric.splines import spline_weights
 from metafab.optics.geometry.imaging import Imaging, Tangent
@@ -24,18 +23,6 @@ from metafab.optics.point_spread import Psf
 _RADII, _AZIMUTHS = 12, 24
 #: Trial depths per depth of the stack when PSFs are compared.
 _TRIALS = 8
-
-
-@dataclass(frozen=True)
-class SpaceVariance:
-    """Image points and aberrations of both polarisations over a grid of object directions."""
-
-    tangent_x: FloatArray  #: Shape (n_x,), x/z of the object.
-    tangent_y: FloatArray  #: Shape (n_y,), y/z of the object.
-    defocus_dioptre: FloatArray  #: Shape (2, n_y, n_x), change of vergence, positive as for a nearer object.
-    astigmatism_dioptre: FloatArray  #: Shape (2, n_y, n_x), half the vergence along x minus that along y.
-    image_um: FloatArray  #: Shape (2, n_y, n_x, 2), (x, y) of the geometric image points on the sensor.
-    distortion_um: FloatArray  #: Shape (2, n_y, n_x, 2), deviation from the image by a pinhole at the lens centre.
 
 
 def space_variance(imaging: Imaging, tangent_x: FloatArray, tangent_y: FloatArray, depth_m: float) -> SpaceVariance:
@@ -50,7 +37,7 @@ def space_variance(imaging: Imaging, tangent_x: FloatArray, tangent_y: FloatArra
     image = np.array([[imaging.image_point_um(p, t) for t in grid] for p in (0, 1)]).reshape(*shape, 2)
     pinhole = np.array([[imaging.image_point_um(p, (0.0, 0.0)) for _ in grid] for p in (0, 1)]).reshape(*shape, 2)
     pinhole -= imaging.sensor_distance_um * np.array(grid).reshape(*shape[1:], 2)
-    return SpaceVariance(tangent_x, tangent_y, defocus, astigmatism, image, image - pinhole)
+    return SpaceVariance(tangent_x, tangent_y, defocus, astigmatism, image - pinhole)
 
 
 def aberration_dioptre(

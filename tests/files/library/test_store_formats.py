@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 
 from metafab import library
-from metafab.library.library import BuildStatistics
+from metafab.core.figures import BuildStatistics
 
 #: The unit cell as format 1 of version 0.1 stored it: no key that came later.
 UNIT_CELL = """

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from metafab.core.figures import LineStatistics
 from metafab.library import build_file, built, is_current, load, save
 from metafab.library.library import Library, inputs_of
 from metafab.library.neighbours.line import LineShape, initial_model
-from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
+from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.library.neighbours.training import inputs_of_training
 from metafab.spec.cell import Neighbours as Training
 

@@ -8,14 +8,13 @@ from pathlib import Path
 import pytest
 
 from metafab import fullwave
-from metafab.core.figures import LightMapping
+from metafab.core.figures import LightMapping, LineStatistics
 from metafab.core.storage.files import file_sha256
 from metafab.fullwave.coupling import CouplingRow
 from metafab.spec import Design
 from metafab.steps.images import DecodeFigures
 from metafab.steps.job import Job
 from metafab.steps.layout import LayoutFigures, mask_paths
-from metafab.steps.library import LibraryFigures
 from metafab.steps.merit import CouplingFigures, recorded_coupling
 from metafab.steps.optics import PsfFigures
 from metafab.steps.summary import BudgetLine, RunSummary, Saving, error_budget, ledger
@@ -97,7 +96,9 @@ def test_what_only_pillars_have_is_left_out_without_a_mask() -> None:
 
 
 def test_the_model_of_neighbours_replaces_the_approximation_where_the_psf_used_it() -> None:
-    library = LibraryFigures("library.h5", *[1.0] * 11, neighbours_error_alike=0.03)
+    summary = run_summary()
+    assert summary.library is not None
+    library = replace(summary.library, neighbours=LineStatistics(error_alike=0.03))
     coupling = CouplingFigures(0.12, 0.96, 1, ("rcwa",))
     for psf, source, value in (
         (PSF, "local-period approximation", 0.12),

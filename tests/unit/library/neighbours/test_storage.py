@@ -8,8 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
+from metafab.core.figures import LineStatistics
 from metafab.library.neighbours.line import PARAMETERS, LineShape, initial_model
-from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
+from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.library.neighbours.solve import line_corrections
 from metafab.library.neighbours.storage import neighbours_of, put_neighbours
 

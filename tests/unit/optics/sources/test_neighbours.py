@@ -9,11 +9,12 @@ import pytest
 
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError
+from metafab.core.figures import LineStatistics
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.library import Library
 from metafab.library.neighbours.evaluation import block_corrections
 from metafab.library.neighbours.line import LineShape, initial_model
-from metafab.library.neighbours.model import LineStatistics, Neighbours, TrainedLine
+from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.optics import neighbour_field, written_field
 from metafab.optics.sources import neighbours
 
