@@ -208,7 +208,8 @@ def expose_lenses(
             if numerics.classes:
                 for lens, one in zip(lenses, dosed, strict=True):
                     if (key := (one.surroundings, lens.dose)) not in continuous:
-                        continuous[key] = _sums(one, lens, dosed)
+                        at_dose = one.at(lens.dose, dosed)
+                        continuous[key] = predict(at_dose.process, at_dose.dose, NO_PLACES).sums
                 of_site, class_dose = quantised(dosed, _class_count(numerics, dosed, list(continuous.values())))
                 rounded = {key: class_dose.astype(np.float32)[of] for key, of in {id(of): of for of in of_site}.items()}
                 dosed = [replace(one, dose=rounded[id(of)]) for one, of in zip(dosed, of_site, strict=True)]
@@ -290,12 +291,6 @@ def _resist_of(pillars: PillarMap, psf: BeamPsf, outline: Outline) -> ResistEner
     if not resist.tiles:
         raise InputError.single("exposure", "pillars", "at least one pillar", "none")
     return resist
-
-
-def _sums(lens: LensDoses, exposed: ExposedLens, lenses: Sequence[LensDoses]) -> SizeSums:
-    """Size errors of a lens at its dose."""
-    at_dose = lens.at(exposed.dose, lenses)
-    return predict(at_dose.process, at_dose.dose, NO_PLACES).sums
 
 
 def _class_count(numerics: ExposureNumerics, lenses: Sequence[LensDoses], sums: Sequence[SizeSums]) -> int:

@@ -94,6 +94,7 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     ``[process.exposure]``. Errors as :func:`expose_mask`; InputError for sizes too far beyond the library.
     """
     from metafab import optics, tolerance
+    from metafab.exposure import exposure_process
     from metafab.exposure.etch import made_pillars
     from metafab.layout.outlines import Outline
 
@@ -103,8 +104,6 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
         raise InputError.single(design.name, "cell.lattice", expected, "'hexagonal'", remedy)
     exposed = expose_mask(path, design, printed == "corrected", 0, copy, work, keep_sizes=True)
     assert design.process is not None
-    assert design.process.exposure is not None
-    correction = design.process.exposure.correction
     etch = design.process.etch or Etch()
     made = made_pillars(exposed.drawn, exposed.exposure, etch, Outline.of(design))
     figures = exposed.exposure.figures
@@ -114,7 +113,8 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
         corner = {"corner_radius_nm": round(figures.corner_radius_nm, 3), **corner}
     with work.processes() as executor:
         field = optics.made_field(made.pillars, library, executor)
-        corners = [("printed, one dose" if printed == "plain" else f"printed, corrected {correction}s", corner)]
+        doses = "one dose" if printed == "plain" else f"corrected {exposure_process(design).correction}s"
+        corners = [(f"printed, {doses}", corner)]
         (at,) = tolerance.fields_at(field, library, corners, executor=executor, progress=work.progress)
     return MadeMask(at, made, figures)
 
@@ -211,14 +211,12 @@ def save_exposure(exposed: ExposedMask, mask_file: Path, design: Design, path: P
     from metafab import exposure
 
     assert exposed.plain is not None
-    assert design.process is not None
-    assert design.process.exposure is not None
     found = exposed.exposure
     corrected = found.figures.rounds > 0
     record = exposure.ExposureRecord(
         file_sha256(mask_file),
         exposed.psf.source,
-        design.process.exposure.correction if corrected else "none",
+        exposure.exposure_process(design).correction if corrected else "none",
         exposed.plain,
         exposure.SizeErrors.of(found) if corrected else None,
     )

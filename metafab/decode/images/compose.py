@@ -137,17 +137,10 @@ class PixelMaps:
             contrast_standard_error=_median_relative(self.contrast_error[some], self.contrast[some]),
         )
         return Image4D(
-            self.intensity_x,
-            self.intensity_y,
-            self.contrast,
-            self.depth_m,
-            self.confidence,
-            self.segment,
-            prepared.twins.grid.origin_um,
-            prepared.twins.grid.pixel_um,
-            _segment_figures(regions, light, step, prepared.levels.read_noise_e),
-            self.depth_pixel_m,
-            self.contrast_error,
+            **{name: array for name, array in vars(self).items() if name != "lit"},
+            origin_um=prepared.twins.grid.origin_um,
+            pixel_um=prepared.twins.grid.pixel_um,
+            segments=_segment_figures(regions, light, step, prepared.levels.read_noise_e),
             figures=figures,
         )
 

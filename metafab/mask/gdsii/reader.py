@@ -161,7 +161,8 @@ class GdsiiReader:
             if len(fields.get(records.LAYER, b"")) != 2 or not fields.keys() & records.DATATYPES:
                 raise self._damaged("elements with layer and datatype", f"one without at byte {start}")
             layer = int.from_bytes(fields[records.LAYER], "big", signed=True)
-            datatype = _datatype(fields)
+            kinds = (fields[kind] for kind in records.DATATYPES if kind in fields)
+            datatype = int.from_bytes(next(kinds)[:2], "big", signed=True)
             wanted, first, last = self._layer
             if layer == wanted and first <= datatype <= last and kind != records.TEXT:
                 cell.shape_count += count
@@ -271,7 +272,3 @@ def _paths(run: _Run, points: IntArray, known: KnownShapes) -> Chunk:
     half = run.width // 2
     margin = np.where(steps == 0, half, half if run.path_type == 2 else 0) * is_rectangle[:, None]
     return _divided(records.PATH, np.concatenate([low - margin, high - low + 2 * margin], axis=1), is_rectangle)
-
-
-def _datatype(fields: dict[int, bytes]) -> int:
-    return next(int.from_bytes(fields[kind][:2], "big", signed=True) for kind in records.DATATYPES if kind in fields)

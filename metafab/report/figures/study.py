@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from metafab.comparison import Comparison
-from metafab.core.conventions import FloatArray
 from metafab.phase.studies.bandwidth import BandwidthBudget
 from metafab.phase.studies.compare import DepthBounds
 from metafab.phase.studies.propose import Proposal
@@ -76,7 +75,8 @@ def filter_tradeoff(budget: BandwidthBudget, axes: Axes) -> Axes:
     axes.plot(curves.fwhm_nm[chosen], curves.relative_error[-1, chosen], "o", color=X_COLOUR, label="this design")
     dress(axes, "width of the filter / nm", "σ of depth, relative", "Light against smear")
     logarithmic(axes, "x")
-    ticks = [tick for tick in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200) if _within(tick, curves.fwhm_nm)]
+    low_nm, high_nm = curves.fwhm_nm[[0, -1]]
+    ticks = [tick for tick in (0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50, 100, 200) if low_nm <= tick <= high_nm]
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks], minor=False)
     axes.set_xticks([], minor=True)
     axes.set_ylim(bottom=0.0)
@@ -136,7 +136,3 @@ def rival_sharpness(comparison: Comparison, axes: Axes) -> Axes:
     dress(axes, f"object depth / {unit}", "rms left over rms of the texture", "All in focus: error of the sharp image")
     axes.set_ylim(0.0, 1.7 * float(comparison.restored.max()))
     return finished(axes)
-
-
-def _within(value: float, axis: FloatArray) -> bool:
-    return bool(axis[0] <= value <= axis[-1])
