@@ -28,10 +28,11 @@ from metafab.exposure.expose import (
     ExposureFigures,
     ExposureNumerics,
     SampledPillar,
+    SizeErrors,
     expose,
     expose_lenses,
 )
-from metafab.exposure.record import ExposureRecord, SizeErrors, load_record, save_record
+from metafab.exposure.record import ExposureRecord, load_record, save_record
 from metafab.spec.mask import BeamTerm
 
 __all__ = [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Literal
 
 import numpy as np
@@ -116,10 +116,27 @@ class ExposureFigures:
 
 
 @dataclass(frozen=True)
-class Exposure:
-    """Result of an exposure."""
+class SizeErrors:
+    """Printed less wanted sizes of all pillars."""
 
     figures: ExposureFigures  #: Summary.
+    #: Shape (n,), number of widths and lengths in each bin of ``cd_edges_nm``; the first and the last bin hold all
+    #: errors beyond them.
+    cd_histogram: FloatArray
+    cd_edges_nm: FloatArray  #: Shape (n + 1,), ascending.
+    size_map: SizeMap  #: Mean errors over the lens.
+    window: tuple[WindowPoint, ...]  #: Errors at changed doses.
+
+    @classmethod
+    def of(cls, exposure: Exposure) -> SizeErrors:
+        """Size errors of an exposure, without its arrays over all pillars."""
+        return cls(**{item.name: getattr(exposure, item.name) for item in fields(cls)})
+
+
+@dataclass(frozen=True)
+class Exposure(SizeErrors):
+    """Result of an exposure."""
+
     drawn: PillarMap  #: The pillars to draw: those of the mask, or corrected shapes.
     #: Shape (n_y, n_x) of the lattice, relative to the base dose; equal everywhere without correction.
     dose: Float32Array
@@ -127,10 +144,6 @@ class Exposure:
     dose_class: NDArray[np.uint8] | None
     class_dose: FloatArray  #: Shape (classes,), ascending, without the dose of the lens.
     samples: tuple[SampledPillar, ...]  #: Random pillars.
-    cd_histogram: NDArray[np.int64]  #: Shape (n,), number of widths and lengths in each bin of ``cd_edges_nm``.
-    cd_edges_nm: FloatArray  #: Shape (n + 1,), bins of printed less wanted size.
-    size_map: SizeMap  #: Mean size errors over the lens.
-    window: tuple[WindowPoint, ...]  #: Size errors at changed doses.
     #: Shape (2, n_y, n_x), of width and length; -inf where a pillar does not print. None unless ``keep_sizes``.
     printed_less_drawn_nm: Float32Array | None
 
@@ -270,7 +283,7 @@ def _predicted(lens: LensDoses, drawn: PillarMap, contrast: float | None, numeri
         dose_class=None,
         class_dose=np.ones(1),
         samples=samples[: numerics.samples],
-        cd_histogram=found.histogram,
+        cd_histogram=found.histogram.astype(np.float64),
         cd_edges_nm=bins_nm,
         size_map=found.size_map,
         window=tuple(window),

@@ -6,33 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from metafab.core.conventions import FloatArray
 from metafab.core.storage.files import read_json, write_json
 from metafab.core.storage.tables import typed
-from metafab.exposure.expose import Correction, Exposure, ExposureFigures
-from metafab.exposure.prediction import SizeMap, WindowPoint
+from metafab.exposure.expose import Correction, SizeErrors
 
 KIND = "metafab exposure"
 FORMAT = 1
-
-
-@dataclass(frozen=True)
-class SizeErrors:
-    """Printed less wanted sizes of all pillars."""
-
-    figures: ExposureFigures  #: Summary.
-    #: Shape (n,), number of widths and lengths in each bin of ``cd_edges_nm``; the first and the last bin hold all
-    #: errors beyond them.
-    cd_histogram: FloatArray
-    cd_edges_nm: FloatArray  #: Shape (n + 1,), ascending.
-    size_map: SizeMap  #: Mean errors over the lens.
-    window: tuple[WindowPoint, ...]  #: Errors at changed doses.
-
-    @classmethod
-    def of(cls, exposure: Exposure) -> SizeErrors:
-        """Size errors of an exposure, without its arrays over all pillars."""
-        histogram = exposure.cd_histogram.astype("float64")
-        return cls(exposure.figures, histogram, exposure.cd_edges_nm, exposure.size_map, exposure.window)
 
 
 @dataclass(frozen=True)

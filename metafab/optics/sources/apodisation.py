@@ -12,7 +12,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.bilinear import bilinear_on_grid
 from metafab.optics.sources.source import ApodisedField, Source
-from metafab.phase.terms.sampled import read_array
+from metafab.phase.terms.sampled import read_array, require_coverage
 from metafab.spec import Design
 
 #: Transmitted amplitude, 0 to 1, shape (n_y, n_x), at x, shape (n_x,), and y, shape (n_y,), in um.
@@ -51,12 +51,9 @@ class Apodisation:
         if optics.amplitude_file is None or optics.amplitude_pitch_um is None:
             return cls(stop_um)
         samples = _amplitudes(optics.amplitude_file, optics.amplitude_dataset)
-        reach_um, radius_um = 0.5 * min(samples.shape) * optics.amplitude_pitch_um, 0.5 * design.device.aperture_um
-        if reach_um < radius_um * (1.0 - 1e-9):
-            expected = f"samples that cover the aperture to {radius_um:g} um from the axis"
-            got = f"a grid that reaches {reach_um:g} um"
-            remedy = "give more samples or the right pitch; nothing is extrapolated"
-            raise InputError.single(str(optics.amplitude_file), "optics.amplitude_pitch_um", expected, got, remedy)
+        reach_um = 0.5 * min(samples.shape) * optics.amplitude_pitch_um
+        radius_um = 0.5 * design.device.aperture_um
+        require_coverage(optics.amplitude_file, "optics.amplitude_pitch_um", reach_um, radius_um)
         return cls(stop_um, samples, optics.amplitude_pitch_um)
 
 

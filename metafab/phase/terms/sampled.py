@@ -72,17 +72,17 @@ def load_array(
         raise InputError.single(str(file), "array", expected, f"{phase.dtype} of shape {phase.shape}")
     if lost := int(np.count_nonzero(~np.isfinite(phase))):
         raise InputError.single(str(file), "array", expected, f"NaN or infinity at {lost} of {phase.size} places")
-    reach_um = 0.5 * min(phase.shape[-2:]) * pitch_um
-    if reach_um < radius_um * (1.0 - 1e-9):
-        raise InputError.single(
-            str(file),
-            "pitch_um",
-            f"samples that cover the aperture to {radius_um:g} um from the axis",
-            f"a grid that reaches {reach_um:g} um",
-            "give more samples or the right pitch; nothing is extrapolated",
-        )
+    require_coverage(file, "pitch_um", 0.5 * min(phase.shape[-2:]) * pitch_um, radius_um)
     field = np.exp(1j * np.broadcast_to(phase, (2, *phase.shape[-2:])))
     return SampledPhase(field, pitch_um, polarisation=polarisation)
+
+
+def require_coverage(file: Path, key: str, reach_um: float, radius_um: float) -> None:
+    """Refuse (InputError) samples of a file that reach less far from the axis than the aperture."""
+    if reach_um < radius_um * (1.0 - 1e-9):
+        expected, got = f"samples that cover the aperture to {radius_um:g} um from the axis", f"{reach_um:g} um"
+        remedy = "give more samples or the right pitch; nothing is extrapolated"
+        raise InputError.single(str(file), key, expected, f"a grid that reaches {got}", remedy)
 
 
 def read_array(file: Path, dataset: str) -> NDArray[np.generic]:

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from metafab.exposure.expose import SizeErrors
 from metafab.exposure.prediction import SizeMap
-from metafab.exposure.record import SizeErrors
 from metafab.report.style import (
     CONTRAST_MAP,
     HAIRLINE,
