@@ -262,6 +262,11 @@ class ToleranceRow:
     solved: int = 0  #: Number of cells solved for the row.
     #: Whether the change of the PSFs is within their error, so that the row is an upper bound.
     below_error: bool = False
+    #: Full width at half maximum of a lens' focus along x, and along y, at the focus depth, as in
+    #: :class:`FocusFigures`; NaN for other devices and where the window is too narrow.
+    fwhm_x_um: float = math.nan
+    fwhm_y_um: float = math.nan
+    strehl: float = math.nan  #: Strehl ratio there, likewise.
 
 
 @dataclass(frozen=True)

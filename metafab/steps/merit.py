@@ -28,6 +28,7 @@ from metafab.steps.optics import PairFigures, lit_source, point_spread, save_psf
 
 if TYPE_CHECKING:
     from metafab.optics import Imaging, Psf
+    from metafab.optics.measures.focus import LensFocus
 
 #: Number of frequencies of the modulation transfer, evenly spaced up to the cut-off of the lens.
 _FREQUENCIES = 33
@@ -218,21 +219,28 @@ def _focus(job: Job, imaging: Imaging) -> dict[str, Any]:
 
 def focus_figures(job: Job, imaging: Imaging, mask_path: Path) -> FocusFigures:
     """Return the focus of a lens from its mask file, at the focus depth."""
-    from metafab import layout, optics
-    from metafab.optics.measures.focus import PerfectLens, focus
+    from metafab.optics.measures.focus import focus
 
-    design = job.design
-    depth_m, lattice = design.sensor.focus_depth_m, layout.lattice_of(design)
-    perfect = optics.ideal_field(PerfectLens(imaging, depth_m), lattice, design.device)
+    lens = lens_focus(job.design, imaging)
     return focus(
         lit_source(job, written_light(job, mask_path)),
-        lit_source(job, perfect),
+        lit_source(job, lens.perfect),
         imaging,
-        depth_m,
-        polarisations=_focused(design),
-        target_error=design.verify.target_error,
+        lens.depth_m,
+        polarisations=lens.polarisations,
+        target_error=job.design.verify.target_error,
         work=job.work,
     )
+
+
+def lens_focus(design: Design, imaging: Imaging) -> LensFocus:
+    """Return the focus of a lens: its ideal lens, depth and polarisations."""
+    from metafab import layout, optics
+    from metafab.optics.measures.focus import LensFocus, PerfectLens
+
+    depth_m = design.sensor.focus_depth_m
+    perfect = optics.ideal_field(PerfectLens(imaging, depth_m), layout.lattice_of(design), design.device)
+    return LensFocus(perfect, depth_m, _focused(design))
 
 
 def _focused(design: Design) -> tuple[int, ...]:

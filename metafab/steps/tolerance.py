@@ -12,6 +12,7 @@ from metafab.steps.exposure import Printed, made_mask
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
+from metafab.steps.merit import lens_focus
 from metafab.steps.optics import filter_fwhm_nm, mask_source
 
 FILE = "tolerance.json"
@@ -29,16 +30,18 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
     if design.process is not None and design.process.exposure is not None:
         kinds: tuple[Printed, ...] = ("plain", "corrected")
         made = [made_mask(job, path, printed, copy).field for printed in kinds]
+    imaging = optics.Imaging.of(design)
     return tolerance.tolerance_table(
         mask_source(job, path, copy),
         open_library(job),
-        optics.Imaging.of(design),
+        imaging,
         design.verify.depths_m,
         design.tolerance or Tolerances(),
         min(layout.field_sites(design)),
         optics.PsfNumerics(design.verify.window_px, design.verify.target_error, filter_fwhm_nm(design)),
         made=made,
         transmission=optics.Apodisation.of(design),
+        lens=lens_focus(design, imaging) if design.is_lens else None,
         work=job.work,
     )
 

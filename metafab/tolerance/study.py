@@ -1,4 +1,4 @@
-"""PSFs, efficiency, extinction and decoded depth at the corners of a written mask, against the nominal mask.
+"""PSFs, efficiency, extinction, decoded depth and focus at the corners of a written mask, against the nominal mask.
 
 The mask is read and its pillars are summed in blocks once. A corner of the cell sums them again with other amplitudes
 (:mod:`metafab.tolerance.corners`). Random faults act on the block sums themselves (:mod:`metafab.tolerance.scatter`),
@@ -26,6 +26,7 @@ from metafab.core.parallel.work import Work
 from metafab.decode.matching.cost_volume import correlation
 from metafab.library.library import Library
 from metafab.optics.geometry.imaging import Imaging, depth_nodes
+from metafab.optics.measures.focus import LensFocus
 from metafab.optics.measures.metrics import main_lobe_px, orientation_deg
 from metafab.optics.numerics import PsfNumerics, require_valid
 from metafab.optics.propagation.blocks import MOST_BLOCKS, reduce_to_target, require_memory
@@ -41,7 +42,15 @@ from metafab.tolerance.scatter import Fault, Misplaced, Missing, Stitched
 #: number per depth of the calibration.
 _MARGIN, _TRIALS = 0.25, 6
 #: Over draws, figures with a systematic shift are averaged; the others have both signs and are given as rms.
-_MEAN_OVER_DRAWS = ("peak_ratio", "efficiency", "efficiency_change", "extinction_ratio")
+_MEAN_OVER_DRAWS = (
+    "peak_ratio",
+    "efficiency",
+    "efficiency_change",
+    "extinction_ratio",
+    "fwhm_x_um",
+    "fwhm_y_um",
+    "strehl",
+)
 _RMS_OVER_DRAWS = ("change", "turn_deg", "depth_error_m")
 _AXIS = (0.0, 0.0)
 #: Shortest distance of a main lobe from the image point, in wavelengths / NA: half of Airy's width at half maximum.
@@ -56,6 +65,8 @@ class Light:
     #: Shape (n_depth,), power of y polarised light in the window of x; NaN where one window holds both polarisations.
     unwanted: FloatArray
     pixel_um: float  #: Sampling step.
+    #: Widths of a lens' focus along x and y, um, and its maximum per unit of transmitted power, 1/um^2.
+    spot: tuple[float, float, float] = (math.nan, math.nan, math.nan)
 
     @property
     def efficiency(self) -> FloatArray:
@@ -78,6 +89,7 @@ class MaskOptics:
     carriers: tuple[Carrier, Carrier, Carrier]  #: Of x, of y, and of y polarised light in the window of x.
     numerics: PsfNumerics = PsfNumerics()  #: Target error and spectral band.
     transmission: Transmission | None = None  #: Stop or amplitude in the plane of the pillars; None for none.
+    lens: LensFocus | None = None  #: Focus that is measured; None for devices without one.
 
     @classmethod
     def of(
@@ -88,6 +100,7 @@ class MaskOptics:
         numerics: PsfNumerics,
         transmission: Transmission | None = None,
         work: Work = Work(),
+        lens: LensFocus | None = None,
     ) -> tuple[MaskOptics, list[Pupil], float]:
         """Return the optics with the coarsest blocks that keep the target error, the blocks of the mask, and the error.
 
@@ -105,7 +118,7 @@ class MaskOptics:
         error = max(float(window.light(pyramids[p], p, _AXIS, depths, numerics)[1].max()) for p in (0, 1))
         pupils = [pyramids[0][0], pyramids[1][0], stray]
         carriers = (pupils[0].carrier, pupils[1].carrier, pupils[2].carrier)
-        return cls(window, tuple(depths), carriers, numerics, transmission), pupils, error
+        return cls(window, tuple(depths), carriers, numerics, transmission, lens), pupils, error
 
     def with_blocks(self, block_sites: int) -> MaskOptics:
         """Return the same optics with blocks of another size."""
@@ -124,7 +137,16 @@ class MaskOptics:
             stray = stray + self.window.light([pupils[0]], 0, _AXIS, self.depths_m, self.numerics, entry=(0, 1))[0]
         pixel_um = self.window.imaging.pixel_um
         unwanted = stray.sum(axis=(1, 2)) * pixel_um**2 if self.is_pair else np.full(len(self.depths_m), math.nan)
-        return Light(np.array(pair), unwanted, pixel_um)
+        light = Light(np.array(pair), unwanted, pixel_um)
+        return light if self.lens is None else replace(light, spot=self._spot(self.lens, pupils))
+
+    @property
+    def ideal_peak(self) -> float:
+        """Maximum of the ideal lens' focus per unit of transmitted power, 1/um^2; NaN for devices without a focus."""
+        return math.nan if self.lens is None else self._spot(self.lens, self.sums(self.lens.perfect))[2]
+
+    def _spot(self, lens: LensFocus, pupils: Sequence[Pupil]) -> tuple[float, float, float]:
+        return lens.spot(pupils, self.window.imaging, self.numerics.target_error)
 
     @property
     def is_pair(self) -> bool:
@@ -147,7 +169,7 @@ class DepthDecoder:
         margin = max(_MARGIN * (near - far), 0.02 * near)
         farthest_m = 1.0 / max(far - margin, 1e-3 * far) if far > 0.0 else math.inf
         nodes = depth_nodes(optics.window.imaging, 1.0 / (near + margin), farthest_m, 1e-3)
-        stack = replace(optics, depths_m=tuple(nodes.tolist())).light(pupils).pair
+        stack = replace(optics, depths_m=tuple(nodes.tolist()), lens=None).light(pupils).pair
         vergence = np.linspace(1.0 / nodes[0], 1.0 / nodes[-1], _TRIALS * nodes.size)
         weights = spline_weights(1.0 / nodes, vergence)
         with np.errstate(divide="ignore"):
@@ -186,6 +208,7 @@ class Reference:
     decoded_m: FloatArray  #: Shape (n_depth,), decoded depths of the nominal mask itself; NaN without a decoder.
     error: float  #: Relative L2 error of any PSF.
     smallest_arm_um: float = 0.0  #: A main lobe nearer to the image point than this has no direction.
+    ideal_peak: float = math.nan  #: See :attr:`MaskOptics.ideal_peak`.
 
     @classmethod
     def of(cls, optics: MaskOptics, pupils: Sequence[Pupil], error: float) -> Reference:
@@ -195,7 +218,7 @@ class Reference:
         decoded_m = np.full(len(optics.depths_m), math.nan) if decoder is None else decoder.depth_m(nominal.pair)
         imaging = optics.window.imaging
         arm_um = _ARM * imaging.wavelength_um / imaging.numerical_aperture
-        return cls(nominal, optics.depths_m, decoder, decoded_m, error, arm_um)
+        return cls(nominal, optics.depths_m, decoder, decoded_m, error, arm_um, optics.ideal_peak)
 
     def row(self, name: str, lights: Sequence[Light], relative_error: float) -> ToleranceRow:
         """Return the row of one mask, or of several draws of a random fault (rms or mean over the draws)."""
@@ -224,6 +247,9 @@ class Reference:
             depth_error_m=_largest(depth_error_m[finite]) if finite.any() else math.nan,
             relative_error=relative_error,
             below_error=change <= self.error,
+            fwhm_x_um=after.spot[0],
+            fwhm_y_um=after.spot[1],
+            strehl=after.spot[2] / self.ideal_peak,
         )
 
 
@@ -248,6 +274,7 @@ def tolerance_table(
     *,
     made: Sequence[CornerField] = (),
     transmission: Transmission | None = None,
+    lens: LensFocus | None = None,
     work: Work = Work(workers=1),
 ) -> ToleranceTable:
     """Compare the PSFs at the corners of a written mask with those of the nominal mask, on the axis.
@@ -260,6 +287,7 @@ def tolerance_table(
         numerics: window, target error and filter of every PSF. Unwanted light is that of the design wavelength.
         made: the mask as processes make it, for the first rows of the table.
         transmission: stop or amplitude in the plane of the pillars; None for none.
+        lens: focus whose widths and Strehl ratio the rows hold; None for devices without one.
         work: processes or cluster that solve cells, and progress over the corners. The result does not depend on them.
 
     Raises:
@@ -273,7 +301,7 @@ def tolerance_table(
         expected, remedy = f"0 for {kind}, whose slopes are not available", "set it in `[tolerance]`"
         raise InputError.single("tolerance", "sidewall_deg", expected, f"{tolerances.sidewall_deg:g}", remedy)
     with threadpool_limits(1, "blas"):
-        optics, pupils, error = MaskOptics.of(written, imaging, depths_m, numerics, transmission, work)
+        optics, pupils, error = MaskOptics.of(written, imaging, depths_m, numerics, transmission, work, lens)
         block = pupils[0].carrier.block_sites
         faults = _faults(tolerances, imaging, written, field_sites)
         require_block_memory(faults, written, block)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,10 +12,11 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.figures import FocusFigures
 from metafab.core.parallel.work import Work
 from metafab.optics.geometry.imaging import Imaging
-from metafab.optics.geometry.path import Ray
+from metafab.optics.geometry.path import Ray, power_at_aperture
 from metafab.optics.measures.metrics import main_lobe_px
 from metafab.optics.numerics import PsfNumerics
-from metafab.optics.point_spread import Psf
+from metafab.optics.propagation.image import Window
+from metafab.optics.propagation.pupil import Pupil
 from metafab.optics.sources.source import Source
 from metafab.optics.stack import psf
 
@@ -24,6 +26,7 @@ _PER_FRINGE, _WINDOW_PX = 4.0, 64
 _SECTION, _RADII, _REACH = 241, 61, 3.0
 #: Radius of Airy's first dark ring in wavelengths / NA (first zero of J_1 over 2 pi).
 _FIRST_RING = 0.6098
+_AXIS = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,34 @@ class PerfectLens:
         rays = [Ray.towards_image(self.imaging, p, self.depth_m, (0.0, 0.0)) for p in (0, 1)]
         paths = [ray.path_um(x_um[None, :], y_um[:, None]) for ray in rays]
         return np.asarray(np.exp(-1j * self.imaging.wavenumber * np.array(paths)))
+
+
+@dataclass(frozen=True)
+class LensFocus:
+    """The focus of a lens, to be measured from block sums."""
+
+    perfect: Source  #: Field behind a :class:`PerfectLens` of the same aperture.
+    depth_m: float  #: Object depth.
+    polarisations: tuple[int, ...] = (0, 1)  #: Those that the lens focuses, 0 for x and 1 for y.
+
+    def spot(self, pupils: Sequence[Pupil], imaging: Imaging, target_error: float) -> tuple[float, float, float]:
+        """Widths of the focus along x and y, um, and its maximum per unit of transmitted power, 1/um^2.
+
+        They are those of :func:`focus`. ``pupils`` are the blocks of x and y light; the pixel of ``imaging`` is not
+        used.
+        """
+        fine, chosen, images = _finely(imaging), list(self.polarisations), []
+        for energy in (True, False):
+            numerics = PsfNumerics(_WINDOW_PX, target_error, energy=energy)
+            window = Window.for_target(fine, numerics)
+            pair = [window.light([pupils[p]], p, _AXIS, [self.depth_m], numerics, judged="none")[0][0] for p in chosen]
+            images.append(np.array(pair))
+        rays = [Ray.towards_image(fine, p, self.depth_m, _AXIS) for p in chosen]
+        passed = [
+            pupils[p].transmitted(ray) / power_at_aperture(fine, ray) for p, ray in zip(chosen, rays, strict=True)
+        ]
+        (width_x_um, width_y_um), flux = _Spot.of(images[0].mean(axis=0), fine.pixel_um).fwhm_um, images[1]
+        return width_x_um, width_y_um, _per_power(flux, np.array(passed), fine.pixel_um).peak
 
 
 def focus(
@@ -59,7 +90,7 @@ def focus(
         target_error: relative L2 error of the images.
     """
     unit_um = imaging.wavelength_um / imaging.numerical_aperture
-    fine = replace(imaging, pixel_um=min(imaging.finest_fringe_um(p, (0.0, 0.0)) for p in (0, 1)) / _PER_FRINGE)
+    fine = _finely(imaging)
     numerics = PsfNumerics(_WINDOW_PX, target_error)
     chosen = list(polarisations)
     energy, limit = (
@@ -70,7 +101,10 @@ def focus(
     polarised, polarised_limit = (
         tuple(_Spot.of(stack.psf[p, 0], fine.pixel_um).fwhm_um for p in (0, 1)) for stack in (energy, limit)
     )
-    powers, places = zip(*(_per_power(stack, chosen, fine.pixel_um) for stack in (flux, flux_limit)), strict=True)
+    places = [
+        _per_power(stack.psf[chosen, 0], np.array(stack.details.transmitted)[chosen], fine.pixel_um)
+        for stack in (flux, flux_limit)
+    ]
     radius_um = np.linspace(0.0, _REACH * unit_um, _RADII)
     ring_um = _FIRST_RING * unit_um
     shares = [place.encircled(np.append(radius_um, ring_um)) for place in places]
@@ -83,7 +117,7 @@ def focus(
         fwhm_limit_um=0.5 * sum(best.fwhm_um),
         fwhm_polarised_um=polarised,
         fwhm_polarised_limit_um=polarised_limit,
-        strehl=powers[0] / powers[1],
+        strehl=places[0].peak / places[1].peak,
         encircled_radius_um=ring_um,
         encircled_energy=float(shares[0][-1]),
         encircled_energy_limit=float(shares[1][-1]),
@@ -97,12 +131,14 @@ def focus(
     )
 
 
-def _per_power(stack: Psf, chosen: list[int], pixel_um: float) -> tuple[float, _Spot]:
-    """Maximum of the mean image per unit of transmitted power, and that image."""
-    transmitted = np.array(stack.details.transmitted)[chosen]
-    image = (stack.psf[chosen, 0] / np.maximum(transmitted, 1e-300)[:, None, None]).mean(axis=0)
-    spot = _Spot.of(image, pixel_um)
-    return spot.peak, spot
+def _finely(imaging: Imaging) -> Imaging:
+    """The geometry with pixels that resolve the finest fringe on the axis."""
+    return replace(imaging, pixel_um=min(imaging.finest_fringe_um(p, _AXIS) for p in (0, 1)) / _PER_FRINGE)
+
+
+def _per_power(pair: FloatArray, transmitted: FloatArray, pixel_um: float) -> _Spot:
+    """Mean of some polarisations' images, shape (n, n_y, n_x), per unit of transmitted power, shape (n,)."""
+    return _Spot.of((pair / np.maximum(transmitted, 1e-300)[:, None, None]).mean(axis=0), pixel_um)
 
 
 @dataclass(frozen=True)

@@ -207,27 +207,41 @@ def tolerances(run: RunFolder) -> str:
     figures = run.summary.tolerance
     if figures is None:
         return ""
-    head = ["corner", "PSF", "peak", "efficiency", "extinction", "rotation / °", "depth error / %", "± of the change"]
     nearest_m = min(figures.depth_m)
-    rows = [
-        [
-            escape(_corner(row.corner)),
-            html.number(row.change, 2),
-            _share(row.peak_ratio),
-            _share(row.efficiency),
-            _ratio(row.extinction_ratio),
-            html.number(row.turn_deg, 2),
-            html.number(100.0 * row.depth_error_m / nearest_m, 2),
-            "below error" if row.below_error else f"{html.number(100.0 * row.relative_error, 2)}\u202f%",
-        ]
+    columns: dict[str, list[str]] = {
+        "PSF": [html.number(row.change, 2) for row in figures.rows],
+        "peak": [_share(row.peak_ratio) for row in figures.rows],
+        "efficiency": [_share(row.efficiency) for row in figures.rows],
+        "extinction": [_ratio(row.extinction_ratio) for row in figures.rows],
+        "rotation / °": [html.number(row.turn_deg, 2) for row in figures.rows],
+        "depth error / %": [html.number(100.0 * row.depth_error_m / nearest_m, 2) for row in figures.rows],
+        "FWHM along x / µm": [html.number(row.fwhm_x_um, 4) for row in figures.rows],
+        "along y / µm": [html.number(row.fwhm_y_um, 4) for row in figures.rows],
+        "Strehl ratio": [_share(row.strehl) for row in figures.rows],
+    }
+    # A lens has no extinction, rotation and depth, another device no focus.
+    columns = {head: cells for head, cells in columns.items() if set(cells) != {html.number(math.nan)}}
+    columns["± of the change"] = [
+        "below error" if row.below_error else f"{html.number(100.0 * row.relative_error, 2)}\u202f%"
         for row in figures.rows
     ]
+    rows = [
+        [escape(_corner(row.corner)), *cells]
+        for row, cells in zip(figures.rows, zip(*columns.values(), strict=True), strict=True)
+    ]
+    head = ["corner", *columns]
     text = (
         "The worst of both polarisations and all depths. For random faults: rms over draws, but the mean for "
-        "efficiency, peak and extinction. PSF: relative L2 change; below error: no larger than the error of the PSFs. "
-        "Depth error: of a decoder calibrated with the nominal mask, relative to the nearest depth. The pillars of the "
-        "mask stay; only their amplitudes change."
+        "efficiency, peak, extinction and focus. PSF: relative L2 change; below error: no larger than the error of the "
+        "PSFs. "
     )
+    if "depth error / %" in columns:
+        text += "Depth error: of a decoder calibrated with the nominal mask, relative to the nearest depth. "
+    if "Strehl ratio" in columns:
+        nominal = figures.nominal
+        widths_um = " and ".join(html.number(width_um, 4) for width_um in (nominal.fwhm_x_um, nominal.fwhm_y_um))
+        text += f"Without faults the focus is {widths_um} µm wide, with a Strehl ratio of {_share(nominal.strehl)}. "
+    text += "The pillars of the mask stay; only their amplitudes change."
     return html.section(
         "tolerance",
         "Effect of fabrication errors",

@@ -37,8 +37,8 @@ ROW = ToleranceRow(
 )
 
 
-def _page(row: ToleranceRow) -> str:
-    figures = ToleranceTable(np.array([0.25, 0.34]), 1e-3, 6, ROW, (row,))
+def _page(*rows: ToleranceRow) -> str:
+    figures = ToleranceTable(np.array([0.25, 0.34]), 1e-3, 6, rows[0], rows)
     # Through its file and back, as the page reads it.
     table = json.loads(json.dumps(RunSummary(tolerance=figures).table()))
     return tolerances(RunFolder(Path(), summary=RunSummary(tolerance=typed(ToleranceTable, table["tolerance"]))))
@@ -66,9 +66,18 @@ def test_figures_of_corners_stand_in_line() -> None:
 
 def test_what_is_no_number_is_shown_as_such() -> None:
     """A summary has null where a pair does not turn, and "inf" where nothing is unwanted."""
-    page = _page(replace(ROW, extinction_ratio=math.inf, depth_error_m=math.nan))
+    page = _page(ROW, replace(ROW, extinction_ratio=math.inf, depth_error_m=math.nan))
     assert ">inf</td>" in page
     assert ">–</td>" in page
+
+
+def test_a_lens_has_a_focus_in_place_of_a_pair() -> None:
+    none = {"extinction_ratio": math.nan, "turn_deg": math.nan, "depth_error_m": math.nan}
+    page = _page(replace(ROW, fwhm_x_um=0.4541, fwhm_y_um=0.4309, strehl=0.9761, **none))
+    for text in ("FWHM along x", ">0.4541</td>", ">0.4309</td>", ">0.976</td>", "0.4541 and 0.4309 µm wide"):
+        assert text in page
+    assert not any(text in page for text in ("extinction</th>", "rotation", "Depth error", ">–</td>"))
+    assert "FWHM" not in _page(ROW)
 
 
 def test_a_change_below_the_error_is_told_so() -> None:
