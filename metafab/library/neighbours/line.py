@@ -25,6 +25,7 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial.chebyshev import chebder, chebval, chebvander, chebvander2d
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from metafab.core.conventions import ComplexArray, FloatArray
 
@@ -192,6 +193,56 @@ def initial_model(shape: LineShape, along_nm: Span, across_nm: Span, seed: int) 
     back_own[0] += 0.5
     hop = noise(0.15, shape.hop_pairs[0].size)
     return LineModel(shape, along_nm, across_nm, site, own, side, back_own, back_side, hop)
+
+
+#: Smallest eigenvalue of the hop's blocks over their norm; that of trained chains is 1e-4.
+_SINGULAR = 1e-12
+
+
+def paired(model: LineModel) -> tuple[LineModel, ComplexArray]:
+    """The same chain in other modes, whose hop couples each mode to itself, by 1, and to one mode of the other parity.
+
+    Returns:
+        The chain, and elements of its hop, shape (n,), from odd mode k to even mode k; back it is the opposite number.
+
+    Raises:
+        ValueError: the hop among the even modes, among the odd modes, or between them is singular.
+    """
+    even, hop = model.shape.even, model.hop_matrix
+    bases = [_unit_basis(hop[:even, :even]), _unit_basis(hop[even:, even:])]
+    between = bases[0].T @ hop[:even, even:] @ bases[1]
+    few = int(np.argmin(between.shape))
+    between = between if few == 1 else between.T
+    # Singular vectors that are orthogonal without conjugation, and those that complete the larger basis.
+    turn = _unit_basis(between.T @ between)
+    pairing = 1.0 / np.sqrt(np.sum(turn**2, axis=0))
+    turn = turn * pairing
+    image = between @ turn / pairing
+    rest = np.linalg.svd(image.T)[2][len(turn) :].conj().T
+    bases[few] = bases[few] @ turn
+    bases[1 - few] = bases[1 - few] @ np.concatenate([image, rest @ _unit_basis(rest.T @ rest)], axis=1)
+    change = block_diag(*bases)
+    row, column = model.shape.pairs
+    site = change.T @ model.site_matrix(np.eye(model.shape.terms)) @ change
+    changed = replace(
+        model,
+        site=site[:, row, column],
+        own=model.own @ bases[0],
+        side=model.side @ change,
+        back_own=model.back_own @ bases[0],
+        back_side=model.back_side @ change,
+        hop=(change.T @ hop @ change)[model.shape.hop_pairs[:2]],
+    )
+    return changed, np.asarray(pairing)
+
+
+def _unit_basis(matrix: ComplexArray) -> ComplexArray:
+    """Basis V, in columns, with V^T A V = 1 for a complex symmetric matrix A; ValueError if A is singular."""
+    value, vector = np.linalg.eig(matrix)
+    scale = np.sum(vector**2, axis=0) * value + 0.0j
+    if np.any(np.abs(scale) <= _SINGULAR * np.linalg.norm(matrix)):
+        raise ValueError("the hop of a chain is singular")
+    return np.asarray(vector / np.sqrt(scale))
 
 
 #: Scale of the random sources and taps of new modes, and of their coupling to the others. Measured on a chain of 4 + 4

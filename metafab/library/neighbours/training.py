@@ -53,7 +53,8 @@ _HELD_OUT = 6
 #: Part of the light cone beyond which an order is grazing, and the weight of its squared residual in the fit.
 _GRAZING, _GRAZING_WEIGHT = 0.95, 0.3
 #: Fits from different random parameters. Each begins with two modes less of each parity, on one row in four; another of
-#: each and more rows come with every stage of so many steps. The one with the smallest loss is fitted to its end.
+#: each and more rows come with every stage of so many steps. The one with the smallest loss is fitted to its end, and
+#: again with each of the modes beyond :data:`SHAPES`.
 STARTS, _ONE_ROW_IN, _STAGE_STEPS, _LAST_STEPS = 4, (4, 2, 1), 25, 120
 #: Stated errors over the smallest that hold on all held-out rows: a margin for rows yet unseen.
 _MARGIN = 1.15
@@ -161,27 +162,33 @@ class _Plan:
         turn = [number // (2 * len(ROW_KINDS)) for number in to_fit]
         parts = [[n for n, k in zip(to_fit, turn, strict=True) if k % each == 0] for each in _ONE_ROW_IN]
         stages = [_weighted_sets(sampler, answers, part) for part in parts]
-        return cls(sampler, answers, stages + more_modes * stages[-1:], held, more_modes)
+        return cls(sampler, answers, stages, held, more_modes)
 
     def limits(self, steps: int) -> FitLimits:
         """Limits of a fit."""
         return FitLimits(steps, reflected=_REFLECTED[POLARISATIONS.index(self.sampler.polarisation)])
 
+    @property
+    def shape(self) -> LineShape:
+        """Modes and terms of the chain at the end of a start."""
+        return SHAPES[POLARISATIONS.index(self.sampler.polarisation)]
+
     def start(self, seed: int) -> LineModel:
         """Fit from random parameters, in stages of more modes and more rows."""
         along, across = ((float(axis.min()), float(axis.max())) for axis in self.sampler.size_nm.T)
-        shape = SHAPES[POLARISATIONS.index(self.sampler.polarisation)]
-        fewest = self.more_modes + 1 - len(self.stages)
-        model = initial_model(shape.with_more(fewest), along, across, seed)
+        fewest = 1 - len(self.stages)
+        model = initial_model(self.shape.with_more(fewest), along, across, seed)
         for stage, sets in enumerate(self.stages):
-            model = grown(model, shape.with_more(fewest + stage), seed + STARTS * stage)
+            model = grown(model, self.shape.with_more(fewest + stage), seed + STARTS * stage)
             model = fit(model, sets, self.limits(_STAGE_STEPS))
         return model
 
     def finish(self, starts: Sequence[LineModel]) -> TrainedLine:
-        """Fit the start with the smallest loss to its end, and measure it on the rows that are held out."""
-        best = min(starts, key=lambda model: loss(model, self.stages[-1], self.limits(0)))
-        model = fit(best, self.stages[-1], self.limits(_LAST_STEPS))
+        """Fit the start with the smallest loss to its end, then with more modes, and measure it on held-out rows."""
+        rows, limits = self.stages[-1], self.limits(_LAST_STEPS)
+        model = fit(min(starts, key=lambda start: loss(start, rows, limits)), rows, limits)
+        for more in range(1, self.more_modes + 1):
+            model = fit(grown(model, self.shape.with_more(more), more), rows, limits)
         return TrainedLine(model, _measured(self, model))
 
 

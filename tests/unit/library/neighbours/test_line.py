@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from metafab.library.neighbours.line import LineShape, grown, initial_model
+from metafab.library.neighbours.line import LineShape, grown, initial_model, paired
 from metafab.library.neighbours.solve import scattered_corrections
 
 SPAN = (100.0, 250.0)
@@ -25,3 +27,26 @@ def test_new_modes_change_the_light_little(old: LineShape) -> None:
     known = np.r_[: old.even, 3 : 3 + old.odd]
     assert np.abs(more.site_matrix(terms)[..., known[:, None], known] - model.site_matrix(terms)).max() < 1e-14
     assert np.array_equal(more.hop_matrix[np.ix_(known, known)], model.hop_matrix)
+
+
+@pytest.mark.parametrize("modes", [(3, 3), (4, 2), (2, 4), (1, 0), (2, 0), (1, 1)])
+def test_paired_modes_have_the_same_light(modes: tuple[int, int]) -> None:
+    """Their hop is 1 on the diagonal and couples pairs; sources and taps follow."""
+    model = initial_model(LineShape(*modes, 2), SPAN, SPAN, 3)
+    found, pairing = paired(model)
+    even, pairs = modes[0], min(modes)
+    expected = np.eye(sum(modes), dtype=np.complex128)
+    at = np.arange(pairs)
+    expected[at, even + at], expected[even + at, at] = pairing, -pairing
+    assert pairing.shape == (pairs,)
+    assert np.abs(found.hop_matrix - expected).max() < 1e-9
+    terms = model.polynomials(np.random.default_rng(4).uniform(*SPAN, (3, 5, 2)))
+    both = [scattered_corrections(each, terms) for each in (model, found)]
+    assert np.abs(both[0]).max() > 1e-3
+    assert np.abs(both[1] - both[0]).max() < 1e-9
+
+
+def test_a_singular_hop_is_refused() -> None:
+    model = initial_model(LineShape(2, 1, 2), SPAN, SPAN, 3)
+    with pytest.raises(ValueError, match="singular"):
+        paired(replace(model, hop=0.0 * model.hop))

@@ -1,0 +1,143 @@
+"""Complex arithmetic of compiled kernels on lanes: :data:`LANES` independent problems in one vector register.
+
+A lane array is a flat float64 array. Its element k holds one complex number of each lane: ``LANES`` real parts, from
+place 2 ``LANES`` k on, and then the imaginary parts. Numba vectorises a loop only behind a test that its arrays do not
+overlap, and for short loops the tests take longer than the loops. The two operations here are therefore written as
+vector instructions. They run in kernels alone, on C-contiguous arrays, and check no bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numba.extending
+import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
+
+from metafab.core.conventions import FloatArray
+from metafab.core.numeric.compiled import compiled
+
+#: Numbers of double precision in a register of 512 bits. Processors with shorter registers take several for a vector.
+LANES = 8
+#: Numbers of one element of a lane array.
+ELEMENT = 2 * LANES
+
+#: Numba's helpers that write loops and variables; it types some of them.
+_CODE: Any = cgutils
+_VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+
+
+@compiled
+def lane_array(count: int) -> FloatArray:
+    """Lane array of ``count`` elements, shape (ELEMENT count,), 0, that begins with a cache line."""
+    numbers = np.zeros(count * ELEMENT + LANES)
+    first = (-(numbers.ctypes.data // 8)) % LANES
+    return numbers[first : first + count * ELEMENT]
+
+
+@dataclass(frozen=True)
+class _Call:
+    """Addresses of numbers in the arguments of one call, for the instructions that numba's ``builder`` collects."""
+
+    context: Any
+    builder: Any
+    signature: Any
+    arguments: Any
+
+    def number(self, value: int) -> Any:
+        """An integer constant."""
+        return self.context.get_constant(types.intp, value)
+
+    def address(self, array: int, place: Any, offset: int) -> Any:
+        """Address of number ``place + offset`` of the array that is argument ``array``."""
+        made = self.context.make_array(self.signature.args[array])(self.context, self.builder, self.arguments[array])
+        return self.builder.gep(made.data, [self.builder.add(place, self.number(offset))])
+
+    def vector(self, array: int, place: Any, offset: int = 0) -> Any:
+        """Address of the vector that begins there."""
+        return self.builder.bitcast(self.address(array, place, offset), _VECTOR.as_pointer())
+
+    def load(self, address: Any) -> Any:
+        """The number or vector at ``address``."""
+        return self.builder.load(address, align=8)
+
+    def splat(self, number: Any) -> Any:
+        """A vector of equal numbers."""
+        undefined, integer = ir.Constant(_VECTOR, ir.Undefined), ir.IntType(32)
+        first = self.builder.insert_element(undefined, number, ir.Constant(integer, 0))
+        return self.builder.shuffle_vector(first, undefined, ir.Constant(ir.VectorType(integer, LANES), None))
+
+
+Write = Callable[[Any, Any, Any, Any], None]
+
+
+def _operation(function: Callable[..., tuple[Any, Write]]) -> Callable[..., None]:
+    """Let kernels call ``function``, which returns its signature and what writes its instructions."""
+    return cast("Callable[..., None]", numba.extending.intrinsic(function))
+
+
+@_operation
+def subtract_products(
+    _: Any, c: Any, c_at: Any, c_step: Any, f: Any, f_at: Any, f_step: Any, x: Any, x_at: Any, x_step: Any, count: Any
+) -> tuple[Any, Write]:
+    """Subtract products of lanes: c[c_at + k c_step] -= f[f_at + k f_step] x[x_at + k x_step], k = 0 to ``count`` - 1.
+
+    Elements of the lane arrays ``c``, ``f``, ``x``, one step after the other: with ``c_step`` 0 it is a scalar product.
+    """
+
+    def write(*call: Any) -> None:
+        this = _Call(*call)
+        builder, arguments = this.builder, this.arguments
+
+        def parts(array: int, step: Any) -> list[Any]:
+            element = builder.add(arguments[array + 1], builder.mul(step, arguments[array + 2]))
+            place = builder.mul(element, this.number(ELEMENT))
+            return [this.vector(array, place, offset) for offset in (0, LANES)]
+
+        with _CODE.for_range(builder, arguments[9]) as loop:
+            into = parts(0, loop.index)
+            f_re, f_im, x_re, x_im = (this.load(part) for array in (3, 6) for part in parts(array, loop.index))
+            re = builder.fsub(builder.fmul(f_re, x_re), builder.fmul(f_im, x_im))
+            im = builder.fadd(builder.fmul(f_re, x_im), builder.fmul(f_im, x_re))
+            for part, product in zip(into, (re, im), strict=True):
+                builder.store(builder.fsub(this.load(part), product), part, align=8)
+
+    return types.void(c, c_at, c_step, f, f_at, f_step, x, x_at, x_step, count), write
+
+
+@_operation
+def sum_terms(
+    _: Any, values: Any, first: Any, coefficients: Any, row: Any, terms: Any, term: Any, count: Any
+) -> tuple[Any, Write]:
+    """Write values[first + k] = sum_t coefficients[row + k, t] terms[term + t], k = 0 to ``count`` - 1.
+
+    ``values`` is a lane array, ``coefficients`` has shape (rows, n, 2), real and imaginary parts, and ``terms``, real,
+    has shape (m, LANES).
+    """
+
+    def write(*call: Any) -> None:
+        this = _Call(*call)
+        builder, arguments = this.builder, this.arguments
+        shape = this.context.make_array(this.signature.args[2])(this.context, builder, arguments[2]).shape
+        n_terms = _CODE.unpack_tuple(builder, shape, 3)[1]
+        sums = [_CODE.alloca_once(builder, _VECTOR) for _ in range(2)]
+        with _CODE.for_range(builder, arguments[6]) as rows:
+            for part in sums:
+                builder.store(ir.Constant(_VECTOR, None), part)
+            start = builder.mul(builder.add(arguments[3], rows.index), n_terms)
+            with _CODE.for_range(builder, n_terms) as steps:
+                value = this.load(
+                    this.vector(4, builder.mul(builder.add(arguments[5], steps.index), this.number(LANES)))
+                )
+                place = builder.mul(builder.add(start, steps.index), this.number(2))
+                for offset, part in enumerate(sums):
+                    factor = this.splat(this.load(this.address(2, place, offset)))
+                    builder.store(builder.fadd(builder.load(part), builder.fmul(factor, value)), part)
+            into = builder.mul(builder.add(arguments[1], rows.index), this.number(ELEMENT))
+            for offset, part in enumerate(sums):
+                builder.store(builder.load(part), this.vector(0, into, offset * LANES), align=8)
+
+    return types.void(values, first, coefficients, row, terms, term, count), write
