@@ -228,6 +228,13 @@ class _State:
         return replace(summary, tolerance=tolerance, error_budget=error_budget(summary), saved=saved)
 
 
+def skipping_all(summary: RunSummary, steps: Sequence[Step] = STEPS) -> RunSummary:
+    """Summary of the next run if nothing changes."""
+    unneeded = {entry.step: entry for entry in summary.skipped if entry.why != UNCHANGED}
+    unchanged = (SkippedStep(step.name, UNCHANGED, summary.seconds.get(step.name)) for step in steps)
+    return replace(summary, skipped=tuple(unneeded.get(entry.step, entry) for entry in unchanged))
+
+
 def versions() -> dict[str, str]:
     """Versions of metafab, Python and the libraries that affect results."""
     installed = {"metafab": __version__, "python": platform.python_version()}

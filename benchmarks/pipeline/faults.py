@@ -41,7 +41,7 @@ from metafab.spec import write_new
 
 REPOSITORY = Path(__file__).parents[2]
 #: Files that hold times or owners, and so differ between any two runs.
-TIMED = {"summary.json", ".run.lock"}
+TIMED = {"summary.json", ".rerun.json", ".run.lock"}
 #: Time, s, by which no process may outlive its parent.
 OUTLIVED_S = 2.0
 #: Times, s, by which a build ends whose scheduler went away, and by which one says that all workers went.

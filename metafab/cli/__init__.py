@@ -3,6 +3,7 @@
 Exit codes: 0 done; 1 failed; 2 bad input or violated rules; 130 Ctrl-C; 143 SIGTERM. With ``--json``, stdout holds one
 JSON object and nothing else. Progress bars go to stderr, and only on a terminal.
 
+- ``again``      answer of an unchanged run
 - ``entry``      entry point: errors and interrupts become a message and an exit code
 - ``failures``   failures from outside as one message
 - ``app``        the program, and the options shared by several commands
@@ -21,7 +22,18 @@ JSON object and nothing else. Progress bars go to stderr, and only on a terminal
   - ``service``   ``report``, ``benchmark``, ``doctor``
 """
 
-from metafab.cli.app import app
-from metafab.cli.entry import main
+import sys
 
-__all__ = ["app", "main"]
+from metafab.cli.again import answer_again
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Run the command line; an unchanged run is answered before the program is imported."""
+    code = answer_again(sys.argv[1:])
+    if code is None:
+        from metafab.cli import entry
+
+        entry.main()
+    sys.exit(code)

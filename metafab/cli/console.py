@@ -10,8 +10,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 if TYPE_CHECKING:
     from metafab.core.parallel.measure import Cost
     from metafab.core.parallel.progress import Progress
@@ -64,7 +62,11 @@ def show(result: Any, as_json: bool, **further: Any) -> None:
     """Print a result (a dataclass or a table) and ``further`` figures of the command, as text or as one JSON object."""
     from metafab.core.storage.files import plain
 
-    table = plain(result) | plain(further)
+    show_table(plain(result) | plain(further), as_json)
+
+
+def show_table(table: dict[str, Any], as_json: bool) -> None:
+    """Print a table of JSON types as text or as one JSON object."""
     if as_json:
         print(json.dumps(table, ensure_ascii=False))
         return
@@ -87,11 +89,19 @@ def coverage_warning(coverage_rad: float) -> list[str]:
     return [f"{text}; a turn is 6.28 rad: are height, sizes and wavelength as they should be?"]
 
 
+def exit_code(violations: int) -> int:
+    """Exit code of a mask: 2, with a message on stderr, if design rules are violated."""
+    if violations:
+        announce([f"design rules violated at {violations} places"])
+    return 2 if violations else 0
+
+
 def exit_on_violations(count: int) -> None:
     """Exit with code 2 if design rules are violated."""
-    if count:
-        print(f"metafab: design rules violated at {count} places", file=sys.stderr)
-        raise typer.Exit(2)
+    from typer import Exit  # An unchanged run is answered without it.
+
+    if code := exit_code(count):
+        raise Exit(code)
 
 
 def _lines(value: Any, indent: int = 0) -> Iterator[str]:

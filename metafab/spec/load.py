@@ -78,6 +78,12 @@ def load_design(path: Path | str) -> Design:
     return design
 
 
+def files_of(path: Path) -> list[Path]:
+    """A design file and the files of its scene and its process; InputError if the design cannot be read."""
+    table = read_toml(path)
+    return [path, *(path.parent / table[key] for key in ("scene", "process") if isinstance(table.get(key), str))]
+
+
 _FAULTY = object()
 
 #: Kinds of input file: tables that tell them apart, and the command that takes them.

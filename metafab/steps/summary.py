@@ -21,7 +21,7 @@ from metafab.steps.merit import CouplingFigures, LightsFigures, MeritFigures
 from metafab.steps.optics import PsfFigures
 from metafab.steps.phase import StudyFigures
 
-#: The file of the summary. It is the run's only file that holds times: equal designs give equal bytes in all others.
+#: The file of the summary. It and the hidden ``.rerun.json`` hold times: equal designs give equal bytes in all others.
 SUMMARY_FILE = "summary.json"
 #: Reason for skipping a step that is up to date.
 UNCHANGED = "its inputs and its files are unchanged"

@@ -108,7 +108,7 @@ ERRORS = [
 def test_an_error_is_one_message_and_its_code(
     error: BaseException, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(entry, "app", _raise(error))
+    monkeypatch.setattr(entry, "program", lambda arguments: _raise(error))
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     with pytest.raises(SystemExit) as ended:
         entry.main()
@@ -124,7 +124,7 @@ def test_an_error_is_one_message_and_its_code(
 def test_debug_shows_the_traceback_before_the_message(
     error: BaseException, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(entry, "app", _raise(error))
+    monkeypatch.setattr(entry, "program", lambda arguments: _raise(error))
     monkeypatch.setenv("METAFAB_DEBUG", "1")
     with pytest.raises(SystemExit):
         entry.main()
@@ -168,7 +168,7 @@ def test_an_interrupt_is_one_message_that_nothing_swallows(
         except Exception:
             pytest.fail("an interrupt is no error that a command may swallow")
 
-    monkeypatch.setattr(entry, "app", app)
+    monkeypatch.setattr(entry, "program", lambda arguments: app)
     with pytest.raises(SystemExit) as ended:
         entry.main()
     assert ended.value.code == 128 + number
@@ -176,7 +176,7 @@ def test_an_interrupt_is_one_message_that_nothing_swallows(
 
 
 def test_a_fault_of_ours_is_not_dressed_as_the_users(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(entry, "app", _raise(ZeroDivisionError("a bug")))
+    monkeypatch.setattr(entry, "program", lambda arguments: _raise(ZeroDivisionError("a bug")))
     with pytest.raises(ZeroDivisionError):
         entry.main()
 
@@ -185,7 +185,7 @@ def test_a_fault_of_ours_is_not_dressed_as_the_users(monkeypatch: pytest.MonkeyP
 def test_linear_algebra_has_one_thread_unless_asked_otherwise(asked: str | None, threads: int) -> None:
     """Two threads that wait for each other took fifteen times the processor time of one."""
     code = (
-        "from metafab.cli import entry\nentry.app = lambda arguments: None\nentry.main()\n"
+        "from metafab.cli import entry\nentry.program = lambda arguments: lambda arguments: None\nentry.main()\n"
         "import numpy, scipy.linalg, threadpoolctl\n"
         "print([pool['num_threads'] for pool in threadpoolctl.threadpool_info() if pool['user_api'] == 'blas'])"
     )

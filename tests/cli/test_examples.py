@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 import typer
 
-from metafab.cli import app
-from metafab.cli.entry import spread_depths
+from metafab.cli.entry import app, spread_depths
 from metafab.cli.examples import EXAMPLES
 
 

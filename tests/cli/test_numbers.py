@@ -11,8 +11,7 @@ from typing import Any
 import pytest
 import typer
 
-from metafab.cli import app
-from metafab.cli.entry import main
+from metafab.cli.entry import app, main
 from tests.main_job import SMALL, UNIT_CELL
 
 #: Arguments with which each command would work; nothing of it is done, so none of them takes long.

@@ -25,7 +25,7 @@ from tests.main_job import ROOT, metafab
 
 KILLS = 3
 #: The file that holds times, and so differs between any two runs, and the lock of a killed one.
-TIMED = {".run.lock", "summary.json"}
+TIMED = {".rerun.json", ".run.lock", "summary.json"}
 
 
 @pytest.fixture(scope="module")

@@ -87,6 +87,12 @@ def test_a_second_run_skips_everything(main_job: MainJob, tmp_path: Path) -> Non
         "decode", "report",
     }  # fmt: skip
     assert second.json["decode"] == first.json["decode"]
+    # The pipeline gives the answer that was kept, to the last byte.
+    summary = (folder / "summary.json").read_bytes()
+    (folder / ".rerun.json").unlink()
+    by_pipeline = metafab("run", SMALL, "-o", folder, "--json")
+    assert by_pipeline.stdout == second.stdout
+    assert (folder / "summary.json").read_bytes() == summary
 
 
 def test_a_run_with_nothing_to_do_starts_no_room(main_job: MainJob, tmp_path: Path) -> None:
@@ -94,6 +100,14 @@ def test_a_run_with_nothing_to_do_starts_no_room(main_job: MainJob, tmp_path: Pa
     folder = tmp_path / "again"
     shutil.copytree(main_job.folder, folder)
     assert metafab("run", SMALL, "-o", folder, "--json").code == 0
+    code = (
+        "import sys; from metafab.cli.again import answer_again; print(answer_again(sys.argv[1:])); "
+        "print([m for m in ('numpy', 'pydantic', 'typer', 'metafab.spec') if m in sys.modules])"
+    )
+    command = [sys.executable, "-c", code, "run", SMALL, "-o", folder]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert answer.stdout.splitlines()[-2:] == ["0", "[]"]
+    assert f"{folder / 'report.html'}" in answer.stdout
     code = (
         "import sys; from pathlib import Path; from metafab.spec import load_design; from metafab.run import run; "
         "run(load_design(Path(sys.argv[1])), Path(sys.argv[2])); "

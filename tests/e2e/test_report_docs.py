@@ -16,7 +16,7 @@ import pytest
 import tomli_w
 import typer
 
-from metafab.cli import app
+from metafab.cli.entry import app
 from metafab.core.errors import InputError
 from metafab.spec import Scene, UnitCell, kinds, load_design, load_unit_cell
 from metafab.spec.toml import validate

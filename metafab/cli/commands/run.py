@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from metafab.cli.again import pages
 from metafab.cli.app import Cluster, DesignFile, Json, Output, Workers, app
 from metafab.cli.console import announce, coverage_warning, exit_on_violations, open_work, show
+from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
+    from metafab.spec import Design
     from metafab.steps import RunSummary
     from metafab.steps.layout import LayoutFigures
     from metafab.steps.library import LibraryFigures
@@ -92,23 +97,55 @@ def run_command(
 ) -> None:
     """Run the whole pipeline, from unit cell to report; steps that are up to date are skipped."""
     from metafab.core.storage.limits import limited
+    from metafab.core.storage.rerun import code_mark
     from metafab.run import run
     from metafab.spec import load_design
 
+    began_ns, code = time.time_ns(), code_mark()
     spec = load_design(design)
     folder = output or Path("runs") / (spec.name if skip else f"{spec.name}_no_skip")
     with limited(**spec.stated_limits), open_work(workers, cluster) as (work, _):
         summary = run(spec, folder, work=work, skips=skip, say=announce)
-    if summary.library is not None:
-        announce(coverage_warning(summary.library.coverage_rad))
-    if summary.layout is not None:
-        announce(summary.layout.warnings())
-    if summary.psf is not None:
-        announce(summary.psf.warnings())
-    if summary.lights is not None:
-        announce(summary.lights.warnings())
+    announcements = [] if summary.library is None else coverage_warning(summary.library.coverage_rad)
+    for figures in (summary.layout, summary.psf, summary.lights):
+        announcements += [] if figures is None else figures.warnings()
+    announce(announcements)
+    if skip:
+        _keep_answer(design, spec, folder, summary, announcements, code, began_ns)
     show(summary.table() if json_ else headlines(summary, folder), json_)
     exit_on_violations(summary.violations)
+
+
+def _keep_answer(
+    path: Path,
+    design: Design,
+    folder: Path,
+    summary: RunSummary,
+    announcements: list[str],
+    code: str,
+    began_ns: int,
+) -> None:
+    """Keep what the next run prints if nothing changes, unless a file changed during this one."""
+    from metafab.core.storage.provenance import named_files
+    from metafab.core.storage.rerun import Rerun, all_older, folder_marks, marks
+    from metafab.run import skipping_all
+    from metafab.spec.load import files_of
+
+    again = skipping_all(summary)
+    try:
+        inputs = {str(each.resolve()) for each in (*files_of(path), *named_files(design))}
+        made = {str((folder / name).resolve()): time_ns for name, time_ns in summary.modified_ns.items()}
+        files, outside = folder_marks(folder), marks(sorted(inputs | made.keys()))
+        if not all_older(inputs - made.keys(), began_ns) or any(outside[name][1] != made[name] for name in made):
+            return
+        within = f"{folder.resolve()}{os.sep}"
+        kept = {name: mark for name, mark in outside.items() if not name.startswith(within)}
+        texts = (design.name, str(path.resolve()), code)
+        Rerun(*texts, kept, files, again.table(), headlines(again, folder), announcements, again.violations).keep(
+            folder
+        )
+    except (OSError, InputError):
+        return  # A file is gone, or the folder is read-only: the next run looks for itself.
 
 
 def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
@@ -148,9 +185,7 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
     if summary.decode is not None and summary.decode.nmae is not None:
         lines["depth error"] = f"{100.0 * summary.decode.nmae:.2g} % mean"
     lines["time"] = f"{sum(summary.seconds.values()):.3g} s in all steps"
-    lines["all figures"] = str(folder / "summary.json")
-    lines["report"] = str(folder / "report.html")
-    return lines
+    return lines | pages(folder)
 
 
 def _library_error(library: LibraryFigures, layout: LayoutFigures | None) -> dict[str, str]:

@@ -7,5 +7,6 @@
 - ``latest``        cache of one entry
 - ``scratch``       arrays in files instead of memory
 - ``provenance``    fingerprints of source code and of named files
+- ``rerun``         answer of a run whose files are unchanged
 - ``source_graph``  import graph of the package
 """

@@ -54,20 +54,21 @@ def contents_sha256(spec: Any) -> list[str]:
 
     Only the content counts; a missing file gives "missing".
     """
-    return [file_sha256(path) if path.is_file() else "missing" for path in _named_files(spec)]
+    return [file_sha256(path) if path.is_file() else "missing" for path in named_files(spec)]
 
 
-def _named_files(value: Any) -> Iterator[Path]:
+def named_files(value: Any) -> Iterator[Path]:
+    """Files that a spec, or a part of one, names by a path or as a table of an index (.csv)."""
     if isinstance(value, Path):
         yield value
     elif isinstance(value, str) and value.lower().endswith(".csv"):
         yield Path(value)
     elif is_dataclass(value) and not isinstance(value, type):
         for item in fields(value):
-            yield from _named_files(getattr(value, item.name))
+            yield from named_files(getattr(value, item.name))
     elif isinstance(value, Mapping):
         for item in value.values():
-            yield from _named_files(item)
+            yield from named_files(item)
     elif isinstance(value, list | tuple):
         for item in value:
-            yield from _named_files(item)
+            yield from named_files(item)
