@@ -68,8 +68,7 @@ def _check_shapes(shapes: Shapes, design: Design, work: Work, findings: Findings
             large.append(others)
             total += len(chunk.rectangles)
             for other in chunk.others:
-                box = np.empty((0, 4), dtype=np.int64) if other.box is None else other.box[None]
-                findings.add("foreign", box, other.count)
+                findings.add("foreign", other.boxes, other.count)
         pairs, done = _Pairs(findings, np.concatenate(large), limits.gap), 0
         for chunk in shapes.chunks():
             _check_each(chunk, limits, grid, findings)

@@ -10,8 +10,8 @@ from metafab.core.storage.limits import beyond, limit
 _BYTES = 256e6
 #: Default of the limit ``seconds``: for any file or for each byte of it, whichever is more, and for each site.
 _SECONDS, _SECONDS_OF_A_BYTE, _SECONDS_OF_A_SITE = 2.5, 2.5e-7, 1e-7
-#: Estimated processor time, s, of a byte of a block or a list, of a pillar at its place, and of another shape there.
-_SECONDS_TO_INFLATE, _SECONDS_OF_A_PLACE, _SECONDS_OF_AN_OTHER = 1.5e-9, 1e-7, 4e-6
+#: Estimated processor time, s, of a byte of a block or a list, and of a shape at its place.
+_SECONDS_TO_INFLATE, _SECONDS_OF_A_PLACE = 1.5e-9, 1e-7
 
 
 class Budget:
@@ -36,9 +36,9 @@ class Budget:
             raise beyond(self._source, "file", "memory_mb", expected, "more")
         self.work(_SECONDS_TO_INFLATE * size)
 
-    def place(self, pillars: int, others: int = 0) -> None:
+    def place(self, shapes: int) -> None:
         """Spend the time to put shapes at their places; InputError for more than the limit ``seconds``."""
-        self.work(_SECONDS_OF_A_PLACE * pillars + _SECONDS_OF_AN_OTHER * others)
+        self.work(_SECONDS_OF_A_PLACE * shapes)
 
     def work(self, seconds: float) -> None:
         """Spend processor time, an estimate for what is read next; InputError for more than the limit ``seconds``."""

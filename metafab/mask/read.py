@@ -226,8 +226,8 @@ def _recover(
 def _add_foreign(other: Other, counts: Counter[str], boxes: dict[str, list[IntArray]]) -> None:
     """Count a foreign shape by kind, and keep the first boxes of each kind."""
     counts[other.kind] += other.count
-    if other.box is not None and len(boxes.setdefault(other.kind, [])) < KEPT:
-        boxes[other.kind].append(other.box)
+    kept = boxes.setdefault(other.kind, [])
+    kept.extend(other.boxes[: max(0, KEPT - len(kept))])
 
 
 def _wide_crosses(rectangles: IntArray) -> IntArray:
@@ -269,7 +269,6 @@ def _chunks(hierarchy: Hierarchy, reader: GdsiiReader | OasisReader) -> Iterator
         for chunks in in_order(threads, decode, hierarchy.parts(), ahead=default_workers() + 1):
             for chunk in chunks:
                 reader.budget.work(_SECONDS_OF_A_CHUNK)
-                reader.budget.place(0, others=len(chunk.others))
                 yield chunk
 
 

@@ -16,14 +16,14 @@ from metafab.core.errors import noted
 IN_MEMORY_BYTES = 1 << 28
 
 
-def scratch(shape: tuple[int, ...], dtype: DTypeLike, in_memory_bytes: int = IN_MEMORY_BYTES) -> NDArray[Any]:
+def scratch(shape: tuple[int, ...], dtype: DTypeLike, in_memory_bytes: int | None = None) -> NDArray[Any]:
     """Return zeros of a shape; more than ``in_memory_bytes`` are in an unnamed file of the temporary folder.
 
-    The file vanishes with the array. Its space is reserved now: OSError with a note of the folder if the disk is too
+    ``in_memory_bytes`` are :data:`IN_MEMORY_BYTES` by default. The file vanishes with the array. Its space is reserved now: OSError with a note of the folder if the disk is too
     full.
     """
     byte_count = int(np.prod(shape, dtype=object)) * np.dtype(dtype).itemsize
-    if byte_count <= in_memory_bytes:
+    if byte_count <= (IN_MEMORY_BYTES if in_memory_bytes is None else in_memory_bytes):
         return np.zeros(shape, dtype)
     place = f"{1e-9 * byte_count:.2g} GB of scratch in {tempfile.gettempdir()}; `TMPDIR` names another folder"
     with noted(place), tempfile.TemporaryFile() as stream:

@@ -51,8 +51,6 @@ _SECONDS_OF_A_SHAPE = 1.2e-5
 _SECONDS_OF_A_REPETITION, _SECONDS_OF_A_REFERENCE, _SECONDS_OF_A_PILLAR = 6e-6, 1e-5, 4e-5
 #: The same of a compiled run, and of each rectangle in it.
 _SECONDS_OF_A_RUN, _SECONDS_OF_A_RECTANGLE = 8e-6, 5e-9
-#: Shapes of a chunk that take as much memory as one that is not a pillar.
-_PILLARS_OF_AN_OTHER = 16
 _LARGEST_RATIO = 1032  # Deflate needs at least two bits for 258 bytes.
 
 
@@ -175,7 +173,8 @@ class _Pass:
         self._cell: Cell | None = None if place is None else Cell()
         self._implicit_names = 0
         self._rectangles: list[IntArray] = []
-        self._others: list[Other] = []
+        self._others: dict[str, list[IntArray]] = {}
+        self._collected = 0  # shapes in both
         self._unplaced: Iterator[None] = iter(())  # places the copies of the last shape, a block at a time
         #: Cell, orientation, and x and y of the placements that are not yet among the references.
         self._placed: tuple[str, Orientation | None, array[int]] | None = None
@@ -211,12 +210,13 @@ class _Pass:
     def _flush(self, at_least: int) -> Iterator[Chunk]:
         """Yield the collected shapes if there are enough of them."""
         self._count_bytes()
-        count = sum(map(len, self._rectangles)) + _PILLARS_OF_AN_OTHER * len(self._others)
-        if self._indexing or count < at_least:
+        if self._indexing or self._collected < at_least:
             return
         rectangles = self._rectangles or [np.empty((0, 4), dtype=np.int64)]
-        yield Chunk(np.concatenate(rectangles) if len(rectangles) > 1 else rectangles[0], tuple(self._others))
-        self._rectangles, self._others = [], []
+        boxes = {name: np.concatenate(parts) for name, parts in self._others.items()}
+        others = tuple(Other(name, all_of_them, len(all_of_them)) for name, all_of_them in boxes.items())
+        yield Chunk(np.concatenate(rectangles) if len(rectangles) > 1 else rectangles[0], others)
+        self._rectangles, self._others, self._collected = [], {}, 0
 
     def _count_bytes(self) -> None:
         """Count the bytes of the file that were read since the last call."""
@@ -421,8 +421,9 @@ class _Pass:
         box = (box_of(shape) if rectangle is None else rectangle) + origin
         for offsets in copies.blocks():
             boxes = np.concatenate([box[:2] + offsets, np.broadcast_to(box[2:], (len(offsets), 2))], axis=1)
+            self._collected += len(boxes)
             if rectangle is None:
-                self._others += [Other(name, one) for one in boxes]
+                self._others.setdefault(name, []).append(boxes)
             else:
                 self._rectangles.append(boxes)
             yield
@@ -453,4 +454,5 @@ class _Pass:
         self._reader.budget.work(_SECONDS_OF_A_RECTANGLE * int(count))
         if not self._indexing:
             self._rectangles.append(out[:count])
+            self._collected += int(count)
         return True

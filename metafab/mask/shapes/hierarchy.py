@@ -26,11 +26,11 @@ _ORIGIN = np.zeros(2, dtype=np.int64)
 
 @dataclass(frozen=True)
 class Other:
-    """A shape on the pillar layer that is not a pillar."""
+    """Shapes of one kind on the pillar layer that are not pillars."""
 
     kind: str  #: Name of the shape in the file, such as "polygon".
-    box: IntArray | None  #: Shape (4,), x, y, width, height of its bounding box in file units, or None if unknown.
-    count: int = 1  #: Number of shapes that this one represents.
+    boxes: IntArray  #: Shape (n, 4), x, y, width, height of their bounding boxes in file units; (0, 4) if unknown.
+    count: int  #: Number of shapes.
 
 
 @dataclass(frozen=True)
@@ -151,8 +151,9 @@ class Hierarchy:
         if count == 0:
             return
         if reference.orientation is None:
-            lost = Other("magnified or obliquely turned reference", None, count * reference.count)
-            chunk = Chunk(np.empty((0, 4), dtype=np.int64), (lost,))
+            none = np.empty((0, 4), dtype=np.int64)
+            lost = Other("magnified or obliquely turned reference", none, count * reference.count)
+            chunk = Chunk(none, (lost,))
             yield Part(lost.count, lambda: iter((chunk,)))
             return
         block = max(1, _CHUNK // count)
@@ -169,10 +170,11 @@ class Hierarchy:
             if len(offsets) == 1 and not chunk.others:
                 yield Chunk(turned, (), shift + offsets[0])
                 continue
-            moved = np.repeat(turned[None], len(offsets), axis=0)
-            moved[:, :, :2] += (offsets + shift)[:, None, :]
-            others = tuple(_moved(other, turn, by) for other in chunk.others for by in offsets)
-            yield Chunk(moved.reshape(-1, 4), others)
+            others = tuple(
+                Other(other.kind, _copied(turn(other.boxes), offsets), other.count * len(offsets))
+                for other in chunk.others
+            )
+            yield Chunk(_copied(turned, offsets + shift), others)
 
     def _expanded(self, name: str) -> Iterator[Chunk]:
         """Shapes of a cell and of all cells placed in it."""
@@ -217,11 +219,11 @@ class Hierarchy:
         return totals
 
 
-def _moved(other: Other, turn: Orientation, shift: IntArray) -> Other:
-    if other.box is None:
-        return other
-    box = turn(other.box[None])[0]
-    return Other(other.kind, np.concatenate([box[:2] + shift, box[2:]]), other.count)
+def _copied(boxes: IntArray, offsets: IntArray) -> IntArray:
+    """Boxes, shape (n, 4), at each of some origins, shape (m, 2): shape (m n, 4)."""
+    copies = np.repeat(boxes[None], len(offsets), axis=0)
+    copies[:, :, :2] += offsets[:, None, :]
+    return copies.reshape(-1, 4)
 
 
 def box_of(points: IntArray) -> IntArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from heapq import nlargest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,12 @@ _BRIGHTER = 2.0
 _FEWEST_SITES, _MOST_SITES, _MOST_BLOCKS = 16, 256, 4096
 #: Cells of the map, in resolutions, and its reach in sensor distances: light beyond 84 degrees is left out.
 _CELL, _REACH = 0.5, 10.0
+#: Faintest plane wave that is placed, as a share of its block's brightest: many faint ones are no bright place.
+_FAINTEST = 1e-3
+#: Most cells of the map that are held, some 80 MB; beyond, the darker half is dropped.
+_MOST_CELLS = 1 << 18
+#: Number of columns between two rows in the number of a cell.
+_ROW = 1 << 32
 
 Places = tuple[tuple[float, float], tuple[float, float]]
 
@@ -60,22 +67,24 @@ def _brightest(
     """Centroid of the brightest square of the sensor, at least a window wide, and its share of the light."""
     resolution_um = math.sqrt(imaging.wavelength_um * imaging.sensor_distance_um)
     cell_um = _CELL * max(resolution_um, side_um)
-    cells: dict[tuple[int, int], FloatArray] = {}
-    for x_um, y_um, power in _landings(source, imaging, ray, polarisation, resolution_um):
+    cells, total = dict[int, FloatArray](), 0.0
+    for each in _landings(source, imaging, ray, polarisation, resolution_um):
+        total += float(each[2].sum())
+        x_um, y_um, power = (values[each[2] >= _FAINTEST * each[2].max()] for values in each)
         column, row = (np.floor(at / cell_um).astype(np.int64) for at in (x_um, y_um))
-        places, which = np.unique(np.stack([row, column]), axis=1, return_inverse=True)
-        which = which.ravel()
+        places, which = np.unique(row * _ROW + column, return_inverse=True)
         sums = np.stack([np.bincount(which, weights) for weights in (power, power * x_um, power * y_um)], axis=1)
-        for key, part in zip(map(tuple, places.T.tolist()), sums, strict=True):
+        for key, part in zip(places.tolist(), sums, strict=True):
             cells[key] = cells.get(key, 0.0) + part
-    total = sum(part[0] for part in cells.values())
+        if len(cells) > _MOST_CELLS:
+            cells = dict(nlargest(_MOST_CELLS // 2, cells.items(), key=lambda cell: float(cell[1][0])))
     if not total:
         return (0.0, 0.0), 0.0
     none = np.zeros(3)
 
-    def around(key: tuple[int, int]) -> FloatArray:
+    def around(key: int) -> FloatArray:
         """Sum over the cell and its neighbours: one and a half windows, so that no light falls between two squares."""
-        near = ((key[0] + down, key[1] + right) for down in (-1, 0, 1) for right in (-1, 0, 1))
+        near = (key + down * _ROW + right for down in (-1, 0, 1) for right in (-1, 0, 1))
         return np.asarray(sum((cells.get(one, none) for one in near), none))
 
     brightest = max(sorted(cells), key=lambda key: float(cells[key][0]))
