@@ -19,8 +19,8 @@ IN_MEMORY_BYTES = 1 << 28
 def scratch(shape: tuple[int, ...], dtype: DTypeLike, in_memory_bytes: int | None = None) -> NDArray[Any]:
     """Return zeros of a shape; more than ``in_memory_bytes`` are in an unnamed file of the temporary folder.
 
-    ``in_memory_bytes`` are :data:`IN_MEMORY_BYTES` by default. The file vanishes with the array. Its space is reserved now: OSError with a note of the folder if the disk is too
-    full.
+    ``in_memory_bytes`` are :data:`IN_MEMORY_BYTES` by default. The file vanishes with the array. Its space is reserved
+    now: OSError with a note of the folder if the disk is too full.
     """
     byte_count = int(np.prod(shape, dtype=object)) * np.dtype(dtype).itemsize
     if byte_count <= (IN_MEMORY_BYTES if in_memory_bytes is None else in_memory_bytes):
