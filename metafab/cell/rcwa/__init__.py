@@ -6,6 +6,7 @@
 - ``symmetry``     symmetry classes of a cell, with their layers and outer waves
 - ``jones``        Jones matrices at one truncation
 - ``slicing``      a sloped pillar as the limit of thin steps
+- ``convergence``  how a cell's errors fall with the number of cosines
 - ``certificate``  adaptive truncation, and the bound on the error
 - ``diffraction``  efficiencies of single orders
 - ``derivatives``  derivatives by sizes, height and index

@@ -13,7 +13,8 @@ from functools import cache
 import numpy as np
 
 from metafab.cell.pillar import PillarCell
-from metafab.cell.rcwa.certificate import is_measured, ladder, power_law
+from metafab.cell.rcwa.certificate import ladder
+from metafab.cell.rcwa.convergence import convergence
 from metafab.cell.rcwa.jones import zero_order
 from metafab.cell.rcwa.slicing import slicing
 from metafab.cell.rcwa.symmetry import layers_of, polarisations_swap
@@ -59,9 +60,8 @@ def seconds_estimate(target_error: float, cell: PillarCell = _SAMPLE, *, five_co
     """
     numerics = CellNumerics(target_error)
     steps = slicing(cell, numerics).steps
-    law = power_law(cell)
-    measured = is_measured(cell)
-    rungs = ladder(numerics, measured=measured, law=law)[: 8 if law else 2 if measured else 4]
+    falls = convergence(cell)
+    rungs = ladder(numerics, falls)[: 8 if falls.law else 2 if falls.is_measured else 4]
     return sum(seconds_of_truncation(orders, cell, steps, five_cosines_s=five_cosines_s) for orders in rungs)
 
 

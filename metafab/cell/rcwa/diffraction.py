@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -18,7 +18,8 @@ import numpy as np
 from metafab.cell.pillar import PillarCell
 from metafab.cell.rcwa.basis.axis import AxisParity
 from metafab.cell.rcwa.basis.coordinates import Formulation, IntArray
-from metafab.cell.rcwa.certificate import implied_bound, ladder, power_law, stated, unresolved
+from metafab.cell.rcwa.certificate import implied_bound, ladder
+from metafab.cell.rcwa.convergence import convergence
 from metafab.cell.rcwa.jones import one_thread, solved_classes
 from metafab.cell.rcwa.slicing import slicing, smooth_array
 from metafab.cell.rcwa.symmetry import in_plane_per_nm
@@ -67,13 +68,14 @@ def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Di
     sides = [propagating_orders(cell, index) for index in (cell.n_out, cell.n_in)]
     farthest = max(abs(number) for side in sides for order in side for number in order)
     error, orders = math.inf, 0
-    law = power_law(cell)
-    for orders in ladder(numerics, law=law):
+    # Claims were measured on amplitudes.
+    falls = replace(convergence(cell), is_measured=False)
+    for orders in ladder(numerics, falls):
         solved[orders] = smooth_array(cell, cut.steps, partial(_listed, cell, orders, numerics.formulation, sides))
         if len(solved) > 1 and orders >= farthest:
             changes = {count: float(np.abs(solved[orders] - solved[count]).max()) for count in sorted(solved)[:-1]}
-            error = stated(implied_bound(orders, changes, numerics.formulation, law)) + 2.0 * cut.error
-            error = max(error, unresolved(cell, orders))
+            error = implied_bound(orders, changes, falls, numerics.formulation) + 2.0 * cut.error
+            error = max(error, falls.least_error(orders))
         if error <= numerics.target_error:
             break
     count = len(sides[0])

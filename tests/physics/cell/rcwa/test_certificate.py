@@ -10,7 +10,7 @@ import pytest
 from metafab.cell import CellNumerics, PillarCell
 from metafab.cell.pillar import Slice
 from metafab.cell.rcwa import solve, zero_order
-from metafab.cell.rcwa.certificate import is_measured, unresolved
+from metafab.cell.rcwa.convergence import convergence, is_measured
 from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.core.conventions import Side
 from tests.paper_cell import SILICON
@@ -297,7 +297,7 @@ def test_truncations_that_do_not_resolve_the_waves_in_the_pillar_state_no_error_
     # 10 cosines are off by 0.01 themselves.
     assert np.abs(few.t - reference.t).max() > 0.08
     assert np.abs(more.t - reference.t).max() + 0.01 <= more.error
-    assert unresolved(cell, 6) == 1.0 > unresolved(cell, 8)
+    assert convergence(cell).least_error(6) == 1.0 > convergence(cell).least_error(8)
 
 
 def test_truncations_that_do_not_resolve_the_waves_guided_in_a_film_state_no_error_below_one() -> None:

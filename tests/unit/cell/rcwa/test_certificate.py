@@ -9,15 +9,23 @@ import pytest
 
 from metafab.cell import CellNumerics, PillarCell
 from metafab.cell.pillar import Slice
-from metafab.cell.rcwa.certificate import ladder, unresolved
+from metafab.cell.rcwa.certificate import ladder
+from metafab.cell.rcwa.convergence import convergence
+from tests.paper_cell import SILICON
 
 
 def test_seven_cosines_are_tried_only_where_nothing_was_measured() -> None:
     """Pillars that six cosines did not serve go on to eight, unless seven are all that may be had."""
-    assert ladder(CellNumerics(1e-3), measured=True)[:4] == (4, 6, 8, 9)
-    assert ladder(CellNumerics(1e-3))[:5] == (4, 5, 6, 7, 8)
-    assert ladder(CellNumerics(1e-2))[:4] == (3, 4, 5, 6) and ladder(CellNumerics(1e-2), measured=True)[:3] == (3, 5, 6)
-    assert ladder(CellNumerics(1e-3, max_orders=7), measured=True) == (4, 6, 7)
+    measured, other = convergence(SILICON), convergence(replace(SILICON, angle_deg=10.0))
+    assert measured.is_measured and not other.is_measured
+    assert ladder(CellNumerics(1e-3), measured)[:4] == (4, 6, 8, 9)
+    assert ladder(CellNumerics(1e-3), other)[:5] == (4, 5, 6, 7, 8)
+    assert ladder(CellNumerics(1e-2), other)[:4] == (3, 4, 5, 6) and ladder(CellNumerics(1e-2), measured)[:3] == (
+        3,
+        5,
+        6,
+    )
+    assert ladder(CellNumerics(1e-3, max_orders=7), measured) == (4, 6, 7)
 
 
 def test_waves_in_a_dense_cap_must_be_resolved() -> None:
@@ -25,6 +33,6 @@ def test_waves_in_a_dense_cap_must_be_resolved() -> None:
     cap = Slice(62.0333, 4.21017, 1.0)
     plain = PillarCell((357.8265, 532.793), 264.114, 481.213, 1243.31, 3.25397, (1.7601, 1.7601), 1.0, 602.559)
     capped = replace(plain, over=(cap,))
-    assert [unresolved(capped, orders) for orders in (8, 9, 10)] == [1.0, 1.0, 0.0]
-    assert unresolved(plain, 8) == 0.0
-    assert unresolved(plain, 7) == pytest.approx(1e-3 * 2.25397 * 2.0 * math.pi * 1243.31 / 602.559)
+    assert [convergence(capped).least_error(orders) for orders in (8, 9, 10)] == [1.0, 1.0, 0.0]
+    assert convergence(plain).least_error(8) == 0.0
+    assert convergence(plain).least_error(7) == pytest.approx(1e-3 * 2.25397 * 2.0 * math.pi * 1243.31 / 602.559)
