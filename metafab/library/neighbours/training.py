@@ -66,7 +66,7 @@ _CHECKED_ROWS, _FINER = 3, 1.0
 #: measured 0.5 s for 5, 1.2 s for 7 and 2.6 s for 9 (rows of 18 that are their own mirror images).
 _PILLAR_SECONDS, _GROWTH = 0.006, 2.78
 #: Processor time of all fits of a chain over its number of rows (s).
-_FIT_SECONDS = 0.13
+_FIT_SECONDS = 0.26
 
 
 def inputs_of_training(unit_cell: UnitCell) -> str:

@@ -41,7 +41,7 @@ def coarse() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def asked(smooth_library: Library) -> Library:
     """A library whose unit cell asks for a model of neighbours."""
-    return replace(smooth_library, unit_cell=replace(smooth_library.unit_cell, neighbours=Training(rows=60)))
+    return replace(smooth_library, unit_cell=replace(smooth_library.unit_cell, neighbours=Training(60, more_modes=0)))
 
 
 @pytest.fixture(scope="module")
@@ -123,7 +123,7 @@ def test_the_best_start_is_fitted_to_all_rows(
 
 @pytest.mark.usefixtures("coarse")
 def test_more_modes_come_in_a_stage_of_their_own(trained: Library, asked: Library, solved_rows: Path) -> None:
-    cell = replace(asked.unit_cell, neighbours=Training(rows=60, more_modes=1))
+    cell = replace(asked.unit_cell, neighbours=Training(60))
     lines = training.train(replace(asked, unit_cell=cell), checkpoint=solved_rows).lines
     for line, fewer in zip(lines, require_neighbours(trained).lines, strict=True):
         assert line.model.shape == LineShape(3, 2, 1)
