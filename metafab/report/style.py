@@ -196,8 +196,11 @@ def picture(
     return axes
 
 
-def scale_bar(axes: Axes, extent_um: Extent, colour: str = "#ffffff") -> None:
-    """Draw a bar of a round length in the lower left corner of a picture of ``extent_um`` (left, right, low, high)."""
+def scale_bar(axes: Axes, extent_um: Extent, colour: str = "#ffffff", *, text_above: bool = False) -> None:
+    """Draw a bar of a round length in the lower left corner of a picture of ``extent_um`` (left, right, low, high).
+
+    Its text is below it, where a round lens leaves more room, or above it, where a small picture has room.
+    """
     left, right, low, high = extent_um
     width, height = right - left, high - low
     length = max(step * 10.0**power for power in range(-2, 5) for step in (1, 2, 5) if step * 10.0**power < width / 5)
@@ -207,11 +210,11 @@ def scale_bar(axes: Axes, extent_um: Extent, colour: str = "#ffffff") -> None:
     shade = {"facecolor": "#000000", "alpha": 0.35, "edgecolor": "none", "pad": 1.2}
     axes.text(
         x,
-        y - 0.02 * height,
+        y + (0.03 if text_above else -0.02) * height,
         text,
         color=colour,
         fontsize=8.5,
-        va="top",  # Below the bar: a round lens leaves more room there.
+        va="bottom" if text_above else "top",
         bbox=shade if colour == "#ffffff" else None,
     )
 

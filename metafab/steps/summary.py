@@ -266,7 +266,7 @@ def _of_library(library: LibraryFigures) -> Iterator[Saving]:
 
 
 def _of_psf(design: Design, psf: PsfFigures, layout: LayoutFigures | None) -> Iterator[Saving]:
-    if layout is not None and psf.blocks is not None:
+    if layout is not None and psf.blocks is not None and psf.blocks < layout.pillars:
         yield Saving(
             "psf",
             "places on the lens",

@@ -271,7 +271,7 @@ def tolerance_command(
     """Compute the effect of fabrication errors on a written mask's PSFs, efficiency and depth.
 
     The design's [tolerance] sets the errors; defaults apply without it. With ``-o DIR/tolerance.json`` in a run
-    folder, the next report shows the table.
+    folder, the report of the next `metafab run` shows the table.
     """
     from metafab import tolerance
     from metafab.core.storage.files import file_sha256

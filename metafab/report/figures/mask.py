@@ -52,7 +52,7 @@ def pillar_outlines(
 ) -> Axes:
     """Draw pillars (x, y of the centre, width, length), shape (n, 4), with the outlines of the file.
 
-    ``label_nearest`` marks the pillar nearest to the middle and writes its width x length above.
+    ``label_nearest`` marks the pillar nearest to the middle and writes its width x length, or its diameter, above.
     """
     x, y = rectangles_um[:, 0], rectangles_um[:, 1]
     unit_um = outline.database_unit_nm * 1e-3
@@ -69,7 +69,9 @@ def pillar_outlines(
         spine.set_color(HAIRLINE)
     if label_nearest and x.size:
         nearest = int(np.argmin((x - x.mean()) ** 2 + (y - y.mean()) ** 2))
-        text = "{:g} × {:g} nm".format(*(1e3 * rectangles_um[nearest, 2:]).tolist())
+        width_nm, length_nm = (1e3 * rectangles_um[nearest, 2:]).tolist()
+        is_round = outline.shape in {"ellipse", "ring"} and width_nm == length_nm
+        text = f"Ø {width_nm:g} nm" if is_round else f"{width_nm:g} × {length_nm:g} nm"
         axes.add_patch(PathPatch(paths[nearest], color=X_COLOUR, lw=0))
         axes.set_title(text, fontsize=9, color=X_COLOUR, loc="right", pad=7)
     return axes

@@ -81,7 +81,7 @@ def pair_over_depth(psf: Psf, axes: Axes, *, arrows: bool = True) -> Axes:
                 axes.annotate(depth_text(float(psf.depth_m[depth])), (x - reach, y + reach), (0, 7), **above)
         name: dict[str, Any] = {"fontsize": 9, "color": POLARISATION_COLOUR[polarisation], "rotation": 90}
         axes.text(-0.06 * step, y, f"PSF of {polarisation}", ha="right", va="center", **name)
-    scale_bar(axes, (0.02 * step, 0.98 * step, 0.02 * step, 0.98 * step))
+    scale_bar(axes, (0.02 * step, 0.98 * step, 0.02 * step, 0.98 * step), text_above=True)
     axes.set(xlim=(0.0, chosen.size * step), ylim=(-step, step), aspect="equal", anchor="NW")
     return axes
 

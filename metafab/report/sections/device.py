@@ -263,6 +263,8 @@ def library(run: RunFolder, drawn: Drawn) -> str:
         }
     )
     caption = "Lines enclose the guided-mode resonances, where less than half of the light is transmitted."
+    if run.library is not None and run.library.unit_cell.cell.is_round:
+        caption = "Less than half of the light is transmitted in guided-mode resonances."
     return html.section(
         "library",
         "Library: response of each pillar size",

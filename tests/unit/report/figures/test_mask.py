@@ -19,4 +19,4 @@ def test_mask_zoom_draws_the_outlines_of_the_file(shape: Shape) -> None:
     drawn, *_ = (patch.get_path() for patch in axes.patches)
     expected = [outline.vertices(400, 200) * 5e-4, outline.vertices(240, 240) * 5e-4 + [0.35, -0.35]]
     assert np.allclose(drawn.vertices, np.concatenate(expected), atol=1e-12)
-    assert axes.get_title(loc="right") in {"200 × 100 nm", "120 × 120 nm"}
+    assert axes.get_title(loc="right") in {"200 × 100 nm", "Ø 120 nm" if shape == "ellipse" else "120 × 120 nm"}
