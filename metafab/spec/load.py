@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import tomllib
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -78,13 +79,32 @@ def load_design(path: Path | str) -> Design:
     return design
 
 
-def files_of(path: Path) -> list[Path]:
-    """A design file and the files of its scene and its process; InputError if the design cannot be read."""
-    table = read_toml(path)
-    return [path, *(path.parent / table[key] for key in ("scene", "process") if isinstance(table.get(key), str))]
+def files_of(path: Path, known: frozenset[Path] = frozenset()) -> frozenset[Path]:
+    """A TOML file, the files that its texts name, and theirs, as absolute paths that keep their symbolic links.
+
+    ``known`` files are not read again. ValueError or OSError if a file is no TOML or cannot be read.
+    """
+    known |= {path.absolute()}
+    for text in _texts(tomllib.loads(path.read_text(encoding="utf-8-sig"))):
+        each = path.parent.absolute() / text
+        if len(text) > _LONGEST_NAME or each in known or not each.is_file():
+            continue
+        known = files_of(each, known) if each.suffix == ".toml" else known | {each}
+    return known
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """All texts of a TOML table."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict | list):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _texts(item)
 
 
 _FAULTY = object()
+#: Longest name of a file (characters).
+_LONGEST_NAME = 255
 
 #: Kinds of input file: tables that tell them apart, and the command that takes them.
 _KINDS = {

@@ -12,7 +12,6 @@ import typer
 from metafab.cli.again import pages
 from metafab.cli.app import Cluster, DesignFile, Json, Output, Workers, app
 from metafab.cli.console import announce, coverage_warning, exit_on_violations, open_work, show
-from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
     from metafab.spec import Design
@@ -133,18 +132,18 @@ def _keep_answer(
 
     again = skipping_all(summary)
     try:
-        inputs = {str(each.resolve()) for each in (*files_of(path), *named_files(design))}
+        inputs = {str(each) for each in (*files_of(path), *named_files(design))}
         made = {str((folder / name).resolve()): time_ns for name, time_ns in summary.modified_ns.items()}
         files, outside = folder_marks(folder), marks(sorted(inputs | made.keys()))
         if not all_older(inputs - made.keys(), began_ns) or any(outside[name][1] != made[name] for name in made):
             return
         within = f"{folder.resolve()}{os.sep}"
         kept = {name: mark for name, mark in outside.items() if not name.startswith(within)}
-        texts = (design.name, str(path.resolve()), code)
+        texts = (design.name, str(path.absolute()), code)
         Rerun(*texts, kept, files, again.table(), headlines(again, folder), announcements, again.violations).keep(
             folder
         )
-    except (OSError, InputError):
+    except (OSError, ValueError):
         return  # A file is gone, or the folder is read-only: the next run looks for itself.
 
 

@@ -38,7 +38,7 @@ class Rerun:
     name: str  #: Name of the design.
     design: str  #: Absolute path of the design file.
     code: str  #: :func:`code_mark` when the run began.
-    inputs: Marks  #: Files outside the run folder, by absolute path.
+    inputs: Marks  #: Files outside the run folder, by absolute path; a link counts by the file it leads to.
     files: Marks  #: Files of the run folder, by relative path.
     summary: Any  #: Content of ``summary.json`` after a run that skips every step.
     headlines: dict[str, str]  #: Text by label; the paths of the run folder are those of then.
@@ -68,7 +68,7 @@ def find_rerun(design: Path, output: Path | None, code: str) -> tuple[Rerun, Pat
             folder = output
         table = json.loads((folder / _RERUN_FILE).read_text(encoding="utf-8"))
         known = Rerun(**{item.name: table[item.name] for item in fields(Rerun)})
-        is_known = (known.design, known.code) == (str(design.resolve()), code)
+        is_known = (known.design, known.code) == (str(design.absolute()), code)
         is_known = is_known and (output is not None or known.name == folder.name)
         if not is_known or marks(known.inputs) != known.inputs or folder_marks(folder) != known.files:
             return None

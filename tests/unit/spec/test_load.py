@@ -10,6 +10,7 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.spec import Design, canonical_toml, load_design, load_scene, load_unit_cell
+from metafab.spec.load import files_of
 
 ROOT = Path(__file__).parents[3]
 SMALL = ROOT / "layouts" / "helix_small.toml"
@@ -171,3 +172,16 @@ def test_a_file_of_another_kind_is_named(tmp_path: Path) -> None:
     scene.write_text("field_px = [64, 64]\n[[objects]]\ndepth_m = 0.3\n")
     with pytest.raises(InputError, match=r"expected a design file, got a scene file .*`metafab capture`"):
         load_design(scene)
+
+
+def test_the_files_of_a_design_are_all_that_it_names(tmp_path: Path) -> None:
+    (tmp_path / "cells").mkdir()
+    (tmp_path / "index_2024.csv").write_text("800, 1.5\n")
+    (tmp_path / "index.csv").symlink_to("index_2024.csv")
+    (tmp_path / "cells" / "cell.toml").write_text('pillar = "../index.csv"\nsource = "lens.toml"\n')
+    (tmp_path / "photo.png").write_bytes(b"")
+    objects = '[[scene.objects]]\ntexture_file = "photo.png"\nlabel = "no file"\n'
+    design = tmp_path / "lens.toml"
+    design.write_text(f'name = "lens.toml"\nnote = "{300 * "x"}"\nlibrary = "cells/cell.toml"\n{objects}')
+    named = ("lens.toml", "cells/cell.toml", "cells/../index.csv", "photo.png")
+    assert files_of(design) == {tmp_path / name for name in named}
