@@ -332,6 +332,10 @@ class DecodingFigures:
 class AberrationFigures:
     """Wavefront behind a lens against the sphere about its image point, in waves, positive where light arrives late.
 
+    The image point of a design with phases of its own lies where their mean slope sends the light, which for coma is
+    not the peak: the coefficients then have a tilt. Rms, Strehl ratio and map leave out piston and tilt, by the plane
+    of least squares, since a tilt moves the image and does not blur it.
+
     Coefficients are those of least squares, weighted by power, over the circle of ``radius_um``. Fringe coefficients
     are amplitudes at the rim, Noll coefficients rms values.
     """
@@ -339,14 +343,14 @@ class AberrationFigures:
     polarisation: Literal["x", "y"]  #: Polarisation of the light.
     depth_m: float  #: Object depth.
     radius_um: float  #: Radius of the unit circle of the polynomials, half the aperture.
-    rms_waves: float  #: Rms of the wavefront error about its mean, weighted by power, over places within the circle.
+    rms_waves: float  #: Rms about the plane, weighted by power, over places within the circle.
     residual_waves: float  #: Rms of what the Noll polynomials leave.
     strehl_of_phase: float  #: Strehl ratio that these phases leave: |mean field|^2 over that without phase errors.
     noll_waves: FloatArray  #: Shape (36,), Noll coefficients from number 1, the piston.
     fringe_waves: FloatArray  #: Shape (36,), fringe coefficients from number 1, the piston.
     x_um: FloatArray  #: Shape (n_x,), middles of some blocks of pillars.
     y_um: FloatArray  #: Shape (n_y,).
-    opd_waves: FloatArray  #: Shape (n_y, n_x), wavefront error without its mean; NaN where a block is dark.
+    opd_waves: FloatArray  #: Shape (n_y, n_x), wavefront error about the plane; NaN where a block is dark.
 
 
 @dataclass(frozen=True)

@@ -226,7 +226,7 @@ def _light(run: RunFolder) -> Iterator[Plan]:
     if pair is None:
         return
     size = (1.15 * psf.shown_depths(pair).size + 0.4, 2.66)
-    both = partial(psf.pair_over_depth, pair, arrows=run.outline.has_lobe)
+    both = partial(psf.pair_over_depth, pair, arrows=run.has_lobe)
     yield Plan("psf_pair", "PSF pair over depth", both, size, (0.3, 0.1, 0.05, 0.3))
     yield Plan("psf_orientation", "Orientation over depth", partial(psf.orientation, pair, ideal=ideal))
     peak = partial(psf.peak, pair, ideal=ideal, source=run.psf_source)

@@ -119,6 +119,11 @@ class RunFolder:
     notes: dict[str, str] = field(default_factory=dict)  #: Reason for each missing result, by its name.
 
     @property
+    def has_lobe(self) -> bool:
+        """Whether the maximum of a PSF is a lobe beside the image point, seen as a whole."""
+        return self.outline.has_lobe and (self.summary.psf is None or self.summary.psf.is_whole)
+
+    @property
     def psf_source(self) -> str:
         """Source of the PSFs: the written mask or the target phases."""
         return "written file" if self.outline.has_mask else "target phases"

@@ -53,7 +53,7 @@ def compose(run: RunFolder, drawn: dict[str, str]) -> str:
     ]
     views: dict[str, Any] = {}
     if run.psf is not None:
-        views["psf"] = psf_view(run.psf, run.ideal_psf, run.psf_source, has_lobe=run.outline.has_lobe)
+        views["psf"] = psf_view(run.psf, run.ideal_psf, run.psf_source, has_lobe=run.has_lobe)
     if run.decoded is not None:
         views["image"] = decoded_view(run.decoded)
     return Template(asset("page.html")).substitute(

@@ -20,7 +20,7 @@ class Material(Checked):
 
     n: Positive | None = None  #: Real part of the refractive index.
     k: NonNegative = 0.0  #: Imaginary part of the refractive index; above 0 absorbs.
-    n_error: NonNegative = 0.0  #: Standard uncertainty of `n`; it enters the error budget, not the solution.
+    n_error: NonNegative = 0.0  #: Standard uncertainty of `n` for the error budget; 0: not stated.
     #: Index of a substrate for y polarisation, if it differs (a crystal with its optic axis in the surface).
     n_y: Positive | None = None
     k_y: NonNegative | None = None  #: Imaginary part that belongs to `n_y`.

@@ -148,7 +148,7 @@ def _write_sample(path: Path, kind: str) -> None:
         return
     axis = np.linspace(-1.0, 1.0, 202)
     with path.open("wb") as file:
-        np.save(file, 30.0 * (axis[:, None] ** 3 + axis**3))
+        np.save(file, 15.0 * (axis[:, None] ** 3 + axis**3))
 
 
 def _title(text: str) -> str:

@@ -16,11 +16,12 @@ from metafab.core.conventions import POLARISATIONS, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.figures import AberrationFigures, FocusFigures, Loss, SpaceVariance, Wavefront
 from metafab.core.storage.files import file_sha256, write_json
+from metafab.core.storage.pictures import read_grey
 from metafab.core.storage.tables import optional, typed
 from metafab.spec import Design, Light
 from metafab.spec.design import Measured
 from metafab.spec.light import light_label
-from metafab.spec.terms import Lens, Radial, SplitLens
+from metafab.spec.terms import Lens, Picture, Radial, SplitLens
 from metafab.steps.job import Job, Step, in_folder, light_tangent, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
@@ -41,7 +42,7 @@ class ModulationFigures:
     """Modulation transfer of the pair, per transmitted power, and of a standard lens, mean over directions."""
 
     frequency_per_mm: FloatArray  #: Shape (n,), spatial frequency on the sensor.
-    #: Shape (n_depth, n), modulation transfer of PSF_x at each depth; NaN where the window misses the light.
+    #: Shape (n_depth, n), modulation transfer of PSF_x at each depth; NaN where the window misses or cuts the light.
     pair_x: FloatArray
     pair_y: FloatArray  #: Shape (n_depth, n), modulation transfer of PSF_y.
     #: Shape (n_depth, n), modulation transfer of a lens of equal aperture, focused at the focus depth.
@@ -98,9 +99,12 @@ class MeritFigures:
     strehl: float | None = optional()
     encircled_energy: float | None = optional()
     #: Peak over that of the target phases, for each depth, not per transmitted power; likewise y. None where the window
-    #: misses the light: it compares what strays into the window with what strays there from the target phases.
+    #: misses or cuts the light: it compares what strays into the window with what strays there from the target phases.
     relative_peak_x: tuple[float, ...] | None = optional()
     relative_peak_y: tuple[float, ...] | None = optional()
+    #: Share of the light at the aperture in the frame of a hologram's picture at the focus depth, mean over pictures
+    #: and their polarisations; None without a picture, and where the window does not hold it.
+    picture_efficiency: float | None = optional()
     focus: FocusFigures | None = optional()  #: The focus of a lens; None for other devices.
     #: Wavefront of a lens at the focus depth, for each polarisation that it focuses; None for other devices and where
     #: too few places transmit for 36 polynomials.
@@ -173,7 +177,7 @@ def _merit(job: Job) -> MeritFigures:
     pinhole_um = metrics.largest_pinhole_um(written, wanted_um)
     passed, ideal_passed = (metrics.pinhole_efficiency(psf, pinhole_um) for psf in (written, ideal))
     lobes, source = metrics.main_lobe_um(written), lit_source(job, written_light(job, mask_paths(job)[-1]))
-    misses = landing.light_elsewhere(source, imaging, written) is not None
+    is_seen = landing.light_elsewhere(source, imaging, written) is None and not metrics.peak_on_edge(whole)
     table = {
         "depth_m": written.depth_m,
         "pinhole_um": pinhole_um,
@@ -184,16 +188,41 @@ def _merit(job: Job) -> MeritFigures:
         "ideal_rotation_deg": metrics.rotation_deg(ideal),
         "depth_of_field_dioptre": metrics.depth_of_field_dioptre(whole),
         "extinction_ratio": written.extinction_ratio,
-        "modulation": _modulation(job, imaging, written, is_seen=not misses),
+        "modulation": _modulation(job, imaging, written, is_seen=is_seen),
         "loss_chain": _loss_chain(job, written, ideal, passed, ideal_passed),
         "space_variance": _space_variance(imaging, whole),
         "measured": job.design.measured,
     }
-    if not misses:
+    if is_seen:
         table |= dict(zip(("relative_peak_x", "relative_peak_y"), metrics.relative_peak(written, ideal), strict=True))
-    figures = replace(typed(MeritFigures, table), **_focus(job, imaging))
+    figures = replace(
+        typed(MeritFigures, table),
+        **_focus(job, imaging),
+        picture_efficiency=_picture_efficiency(job.design, written),
+    )
     write_json(job.folder / "merit.json", figures)
     return figures
+
+
+def _picture_efficiency(design: Design, written: Psf) -> float | None:
+    """Share of the light within the frames of the pictures; None without one, or beside the window."""
+    from metafab.optics.measures.metrics import frame_efficiency
+
+    depth, shares = _focus_index(design, written), []
+    for term in design.phase:
+        if isinstance(term, Picture):
+            rows, columns = read_grey(term.file).shape
+            share = frame_efficiency(written, term.width_um, term.width_um * rows / columns)[:, depth]
+            shares += [share[i] for i, p in enumerate(POLARISATIONS) if term.polarisation in (None, p)]
+    # A window that was moved is not centred on the picture.
+    if not shares or design.verify.centre_um is not None or not np.isfinite(shares).all():
+        return None
+    return float(np.mean(shares))
+
+
+def _focus_index(design: Design, psf: Psf) -> int:
+    """Number of the depth nearest to the focus depth, in vergence."""
+    return int(np.argmin(np.abs(1.0 / psf.depth_m - 1.0 / design.sensor.focus_depth_m)))
 
 
 def _focus(job: Job, imaging: Imaging) -> dict[str, Any]:
@@ -279,7 +308,7 @@ def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: FloatArray, ideal_pa
     from metafab import optics
     from metafab.optics.measures.chain import loss_chain, wavefront
 
-    depth = int(np.argmin(np.abs(1.0 / written.depth_m - 1.0 / job.design.sensor.focus_depth_m)))
+    depth = _focus_index(job.design, written)
     source = written_light(job, mask_paths(job)[-1])
     front = wavefront(source, job.profile, job.design.device, open_library(job))
     coupling = recorded_coupling(job)

@@ -71,17 +71,24 @@ class PairFigures:
     #: (x, y) on the sensor, from the axis, of the brightest place of x and of y polarised light; None where the windows
     #: hold the light.
     light_at_um: tuple[tuple[float, ...], ...] | None = optional()
+    #: True where the brightest pixel of a polarisation lies on the edge of its window, else None.
+    peak_on_edge: bool | None = optional()
 
     @classmethod
     def of(cls, psf: Psf, light_at_um: Places | None = None) -> PairFigures:
         """Figures of all depths of a pair."""
         table = {**_over_depth(psf, np.ones(psf.depth_m.size, dtype=bool)), **plain(psf.details.figures())}
-        return replace(typed(cls, table), light_at_um=light_at_um)
+        return replace(typed(cls, table), light_at_um=light_at_um, peak_on_edge=_on_edge(psf))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether the windows hold the maxima of the light, as far as is known."""
+        return self.light_at_um is None and not self.peak_on_edge
 
     def warnings(self) -> list[str]:
-        """Return a sentence with the place of the light and the remedy, where a window misses the light."""
+        """Return a sentence with the place of the light and the remedy, where a window misses the light or cuts it."""
         if self.light_at_um is None:
-            return []
+            return [] if self.is_whole else [self._cut()]
         (x, y), (x_2, y_2) = self.light_at_um
         place = f"({x:.4g}, {y:.4g})" if (x, y) == (x_2, y_2) else f"({x:.4g}, {y:.4g}) and ({x_2:.4g}, {y_2:.4g})"
         return [
@@ -89,6 +96,29 @@ class PairFigures:
             "Place the window there with `verify.centre_um = [x, y]` (`metafab psf --centre-um X Y`), or widen it with "
             "`verify.window_px`"
         ]
+
+    def _cut(self) -> str:
+        middle = len(self.depth_m) // 2
+        shares = [
+            100.0 * efficiency[middle] / transmitted
+            for efficiency, transmitted in (
+                (self.efficiency_x, self.transmitted_x),
+                (self.efficiency_y, self.transmitted_y),
+            )
+            if transmitted
+        ]
+        held = f", which holds {min(shares):.2g} % of the transmitted light" if shares else ""
+        return (
+            f"the brightest pixel lies on the edge of the window{held}: lobe, widths and shares are those of a part of "
+            "the image. Widen the window with `verify.window_px` (`metafab psf --window-px N`), or move it with "
+            "`verify.centre_um = [x, y]` (`--centre-um X Y`)"
+        )
+
+
+def _on_edge(psf: Psf) -> bool | None:
+    from metafab.optics.measures.metrics import peak_on_edge
+
+    return peak_on_edge(psf) or None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,7 +172,7 @@ class PsfFigures(PairFigures):
             "depths": psf.depth_m.size,
             **plain(psf.details.figures()),
         }
-        return replace(typed(cls, table), light_at_um=light_at_um)
+        return replace(typed(cls, table), light_at_um=light_at_um, peak_on_edge=_on_edge(psf))
 
 
 def _over_depth(psf: Psf, chosen: NDArray[np.bool_], prefix: str = "") -> dict[str, list[float]]:

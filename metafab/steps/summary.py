@@ -98,6 +98,14 @@ class RunSummary:
         """Number of violations of all design rules."""
         return 0 if self.drc is None else sum(self.drc.violations.values())
 
+    @property
+    def picture(self) -> tuple[float, str] | None:
+        """Share of the light in a hologram's picture and its place in words: the written mask's, else the target's."""
+        if self.merit is not None and self.merit.picture_efficiency is not None:
+            return self.merit.picture_efficiency, "in the picture"
+        share = None if self.phase is None else self.phase.hologram_efficiency
+        return None if share is None else (share, "in the picture, by the target phases")
+
     def table(self) -> dict[str, Any]:
         """Content of ``summary.json``; a step that was not needed has an empty table."""
         table = {name: {} if figures is None else figures for name, figures in vars(self).items()}
@@ -180,6 +188,7 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
     library, layout, psf, decode = summary.library, summary.layout, summary.psf, summary.decode
     library_error, phase_error_rad = _errors_of_mask(library, layout)
     worst = ", in the worst light" if layout is not None and layout.lights else ""
+    index_error_rad = None if library is None else library.index_phase_error_rad
     lines = [
         BudgetLine(
             "solver and library",
@@ -195,9 +204,11 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
         ),
         BudgetLine(
             "index of the pillar",
-            None if library is None else library.index_phase_error_rad,
+            index_error_rad,
             "rad rms",
-            "phases solved again with the index raised by its standard uncertainty, common phase taken out",
+            "the unit cell states no standard uncertainty of it (`n_error` of `[materials] pillar`)"
+            if index_error_rad is None
+            else "phases solved again with the index raised by its standard uncertainty, common phase taken out",
         ),
         _neighbours_line(summary),
         BudgetLine(

@@ -156,8 +156,8 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
     if (phase := summary.phase) is not None:
         if phase.peak_gain is not None:
             lines["peak gain"] = f"{phase.peak_gain:.3g}"
-        if phase.hologram_efficiency is not None:
-            lines["hologram"] = f"{100.0 * phase.hologram_efficiency:.1f} % of the light in the picture"
+        if summary.picture is not None:
+            lines["hologram"] = f"{100.0 * summary.picture[0]:.1f} % of the light {summary.picture[1]}"
         if phase.hologram_correlation is not None:
             lines["likeness"] = f"{phase.hologram_correlation:.3f} (correlation with the picture)"
     if (layout := summary.layout) is not None:

@@ -14,8 +14,10 @@ from metafab.library.library import Library
 SAMPLES = 16
 
 
-def index_phase_error_rad(library: Library, *, samples: int = SAMPLES) -> float:
-    """Return the rms phase error (rad) by the standard uncertainty ``n_error`` of the pillar's index; 0 without one.
+def index_phase_error_rad(library: Library, *, samples: int = SAMPLES) -> float | None:
+    """Return the rms phase error (rad) by the standard uncertainty ``n_error`` of the pillar's index.
+
+    None where ``n_error`` is 0: it is not stated, and no index is certain.
 
     ``samples`` sizes, spread evenly over the sweep, are solved with the index as given and with the index raised by
     ``n_error``; see :func:`phase_rms_rad`.
@@ -23,7 +25,7 @@ def index_phase_error_rad(library: Library, *, samples: int = SAMPLES) -> float:
     unit_cell = library.unit_cell
     n_error = unit_cell.materials.pillar.n_error
     if n_error == 0.0:
-        return 0.0
+        return None
     sweep = unit_cell.sweep
     low, high = np.array([sweep.width_nm, sweep.length_nm]).T
     sizes = low + (high - low) * halton(samples)

@@ -55,18 +55,20 @@ def aberrations(
     phase = _unwrapped(pupil, lit, noll)
     waves = phase / (2.0 * math.pi)
     weight = pupil.power[lit] / pupil.power[lit].sum()
-    mean = float(weight @ waves)
+    # A tilt moves the image and does not blur it.
+    plane = noll[:3, lit]
+    level = waves - _fitted(plane, waves, weight) @ plane
     of_noll, of_fringe = (_fitted(basis[:, lit], waves, weight) for basis in (noll, fringe))
     residual = math.sqrt(float(weight @ (waves - of_noll @ noll[:, lit]) ** 2))
-    field = np.sqrt(pupil.power[lit]) * np.exp(1j * phase)
+    field = np.sqrt(pupil.power[lit]) * np.exp(2j * math.pi * level)
     opd = np.full(lit.shape, np.nan)
-    opd[lit] = waves - mean
+    opd[lit] = level
     every = -(-max(lit.shape) // _SHOWN)
     return AberrationFigures(
         polarisation=POLARISATIONS[polarisation],
         depth_m=depth_m,
         radius_um=radius_um,
-        rms_waves=math.sqrt(float(weight @ (waves - mean) ** 2)),
+        rms_waves=math.sqrt(float(weight @ level**2)),
         residual_waves=residual,
         strehl_of_phase=float(abs(field.sum()) ** 2 / np.abs(field).sum() ** 2),
         noll_waves=of_noll,

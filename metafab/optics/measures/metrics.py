@@ -84,9 +84,33 @@ def pinhole_efficiency(psf: Psf, diameter_um: float = PINHOLE_UM) -> FloatArray:
     return np.asarray(inside.max(axis=(2, 3)))
 
 
+def frame_efficiency(psf: Psf, width_um: float, height_um: float) -> FloatArray:
+    """Return the share of the power at the aperture in a rectangle about the window's centre, shape (2, n_depth).
+
+    Pixels on its rim count by their area inside. NaN if the window does not hold the rectangle.
+    """
+    inside = []
+    for count, side_um in zip(psf.psf.shape[2:], (height_um, width_um), strict=True):
+        side_px = side_um / psf.pixel_um
+        if side_px > count - 1:
+            return np.full(psf.psf.shape[:2], math.nan)
+        inside.append(np.clip(0.5 * side_px - np.abs(np.arange(count) - count // 2) + 0.5, 0.0, 1.0))
+    return np.asarray(np.einsum("pdyx,y,x->pd", psf.psf, *inside) * psf.pixel_um**2)
+
+
 def largest_pinhole_um(psf: Psf, wanted_um: float = PINHOLE_UM) -> float:
     """Return ``wanted_um``, but at most three quarters of the window, which leaves room for the scan."""
     return float(min(wanted_um, 0.75 * min(psf.psf.shape[2:]) * psf.pixel_um))
+
+
+def peak_on_edge(psf: Psf) -> bool:
+    """Return whether the brightest pixel of a polarisation lies on the edge of its window, at the middle depth.
+
+    The image then continues outside: what is measured is a part of it.
+    """
+    middle = psf.psf[:, psf.depth_m.size // 2]
+    inner = middle[:, 1:-1, 1:-1].max(axis=(1, 2), initial=0.0)
+    return bool(np.any(middle.max(axis=(1, 2)) > inner))
 
 
 def main_lobe_um(psf: Psf) -> FloatArray:

@@ -21,7 +21,7 @@ def phases(run: RunFolder, drawn: Drawn) -> str:
         else {
             "peak gain of the optimisation": figures.peak_gain,
             "rotation / °": figures.rotation_deg,
-            "of the light in the picture": figures.hologram_efficiency,
+            "of the light in the picture, by the target phases": figures.hologram_efficiency,
             "correlation with the picture": figures.hologram_correlation,
         }
     )

@@ -36,7 +36,7 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         return html.section("psf", "Point-spread functions", html.note(run.notes.get("psf", "no PSF")))
     several = run.psf.depth_m.size > 1
     text = f"Simulated from {_SOURCE[run.outline.has_mask]}. The crosshairs mark the geometric image point"
-    text += "; the arrows point from it to the maximum." if run.outline.has_lobe else "."
+    text += "; the arrows point from it to the maximum." if run.has_lobe else "."
     lacks_ideal = run.ideal_psf is None and run.outline.has_mask
     return html.section(
         "psf",
@@ -46,7 +46,7 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         _viewer(several),
         html.wide(html.figure(drawn["psf_pair"])) if "psf_pair" in drawn else "",
         html.figures(drawn, *(("psf_orientation", "psf_peak") if several else ()), "psf_focus", "psf_mtf"),
-        "" if run.summary.merit is None else _merit(run.summary.merit, has_lobe=run.outline.has_lobe),
+        "" if run.summary.merit is None else _merit(run.summary.merit, has_lobe=run.has_lobe),
         "" if run.summary.lights is None else _lights(run.summary.lights, run.summary.layout),
         html.figures(drawn, "wavefront_x", "wavefront_y"),
         html.figures(drawn, "psf_field_x", "psf_field_y"),
@@ -147,7 +147,8 @@ def _aberrations(fronts: tuple[AberrationFigures, ...]) -> str:
     ]
     text = (
         "Wavefront error about the sphere to the image point, in waves, positive where light arrives late. Numbers and "
-        "norm are Noll's: rms over the aperture; merit.json holds 36 of them and of the fringe set."
+        "norm are Noll's: rms over the aperture; merit.json holds 36 of them and of the fringe set. Rms and "
+        "Strehl ratio leave out tilt, which moves the image and does not blur it."
     )
     head = ["Zernike polynomial", *(f"{front.polarisation} polarised" for front in fronts)]
     return html.table(head, rows, ["", *["n"] * len(fronts)]) + html.paragraph(text, "caption")

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from html import escape
 
 from metafab.report import html
 from metafab.report.accounts import loss_chain
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
+from metafab.spec.terms import Grating, PhaseTerm
 from metafab.steps.merit import MeritFigures
 
 #: Mean relative depth error below which the headline is marked as good.
@@ -23,19 +26,29 @@ def headlines(run: RunFolder) -> str:
         tone = "good" if nmae < _GOOD_DEPTH_ERROR else "bad"
         items.append(html.headline(f"{100 * nmae:.2g}\u202f%", "mean depth error", tone))
     if summary.phase is not None:
-        rotation, painted = summary.phase.rotation_deg, summary.phase.hologram_efficiency
+        rotation = summary.phase.rotation_deg
         if rotation is not None:
             items.append(html.headline(f"{abs(rotation):.0f}°", "rotation of the PSF pair over the depths"))
-        if painted is not None:
-            items.append(html.headline(f"{100 * painted:.0f}\u202f%", "of the light in the picture"))
+    if summary.picture is not None:
+        items.append(html.headline(f"{100 * summary.picture[0]:.0f}\u202f%", f"of the light {summary.picture[1]}"))
     if summary.merit is not None and run.outline.forms_images and nmae is None:
         items += _focus(summary.merit)
+    terms = () if run.design is None else run.design.phase
+    if summary.layout is not None and terms and all(isinstance(term, Grating) for term in terms):
+        items.append(html.headline(f"{100 * summary.layout.efficiency:.0f}\u202f%", _orders(terms)))
     if summary.layout is not None:
         items.append(html.headline(html.number(summary.layout.pillars), "pillars"))
     if summary.drc is not None:
         broken = summary.violations
         items.append(html.headline(html.number(broken), "rules broken", "bad" if broken else "good"))
     return f'<ul class="headlines">{"".join(items)}</ul>' if items else ""
+
+
+def _orders(gratings: Sequence[PhaseTerm]) -> str:
+    """Label of the light that a deflector sends into the order of its target phases."""
+    (grating, *others) = gratings
+    at = f" at {grating.angle_deg:g}°" if isinstance(grating, Grating) and not others else ""
+    return f"of the light in the wanted order{at}"
 
 
 def _focus(merit: MeritFigures) -> list[str]:
@@ -45,7 +58,8 @@ def _focus(merit: MeritFigures) -> list[str]:
     if merit.focus is not None:
         width_um = 0.5 * (merit.focus.fwhm_x_um + merit.focus.fwhm_y_um)
         items.append(html.headline(f"{merit.focus.strehl:.3f}", "Strehl ratio"))
-        items.append(html.headline(f"{width_um:.3g} µm", f"FWHM; ideal lens {merit.focus.fwhm_limit_um:.3g} µm"))
+        if math.isfinite(width_um):
+            items.append(html.headline(f"{width_um:.3g} µm", f"FWHM; ideal lens {merit.focus.fwhm_limit_um:.3g} µm"))
     return items
 
 

@@ -77,6 +77,23 @@ def test_light_that_misses_the_window_is_found(tmp_path: Path, side: float) -> N
     assert there.light_at_um is None
 
 
+@pytest.mark.parametrize("amplitude_rad", [None, 30.0])
+def test_a_window_that_cuts_the_image_is_told_of(tmp_path: Path, amplitude_rad: float | None) -> None:
+    """The cubic phase of a new design fits its window; of twice its amplitude, the brightest corner is cut off."""
+    design = load_design(write_new("own", "own_phase", tmp_path)[0])
+    if amplitude_rad is not None:
+        axis = np.linspace(-1.0, 1.0, 202)
+        np.save(tmp_path / "own.npy", amplitude_rad * (axis[:, None] ** 3 + axis**3))
+    figures = _figures(design, tmp_path, target_error=1e-2, depths_m=(0.010,))
+    if amplitude_rad is None:
+        assert figures.warnings() == [] and figures.is_whole
+        assert min(figures.efficiency_x) > 0.85
+        return
+    assert figures.light_at_um is None and figures.peak_on_edge and not figures.is_whole
+    (sentence,) = figures.warnings()
+    assert "edge of the window, which holds 26 % of" in sentence and "verify.window_px" in sentence
+
+
 def test_one_window_for_both_polarisations_has_no_extinction(tmp_path: Path) -> None:
     figures = _figures(_device(tmp_path, np.zeros((162, 162))), tmp_path)
     assert all(math.isnan(ratio) for ratio in figures.extinction_ratio)

@@ -35,6 +35,15 @@ def test_a_pinhole_finds_the_spot(aside_um: float) -> None:
     assert metrics.pinhole_efficiency(stack, 50.0) == pytest.approx(np.array([expected, expected]), rel=0.01)
 
 
+def test_the_share_in_a_frame_counts_pixels_on_its_rim_by_their_area() -> None:
+    """Erf of a Gaussian over a rectangle whose rim lies within pixels; a window smaller than it knows nothing."""
+    stack = _gaussian(np.array([0.9, 0.5]))
+    share = math.erf(0.5 * 31.0 / (SIGMA_UM * math.sqrt(2.0))) * math.erf(0.5 * 22.4 / (SIGMA_UM * math.sqrt(2.0)))
+    expected = share * np.array([0.9, 0.5])
+    assert metrics.frame_efficiency(stack, 31.0, 22.4) == pytest.approx(np.array([expected, expected]), rel=3e-3)
+    assert np.isnan(metrics.frame_efficiency(stack, 31.0, 200.0)).all()
+
+
 def test_a_pinhole_larger_than_the_window_is_refused() -> None:
     with pytest.raises(InputError, match="pinhole"):
         metrics.pinhole_efficiency(_gaussian(np.ones(1)), 500.0)
