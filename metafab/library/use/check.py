@@ -18,6 +18,8 @@ from metafab.library.library import Library
 FINER = 0.1
 #: Least target error of Meep: finer grids would take it hours a size.
 MEEP_ERROR = 1e-2
+#: Bounds from here on exclude hardly any amplitude: half of a whole one.
+VACUOUS = 0.5
 #: Least amplitude for which a phase error counts.
 LEAST_AMPLITUDE = 0.1
 
@@ -52,18 +54,29 @@ class LibraryCheck:
     worst_width_nm: float  #: Width of the size with the largest error.
     worst_length_nm: float  #: Length of the size with the largest error.
     solver_seconds: float  #: Time in the solver.
-    #: "fails" if a sample is beyond the bounds, "no check" if no sample was checked, else "holds".
+    #: Samples at which both bounds together are 0.5 or more, which excludes hardly any amplitude.
+    vacuous: int
+    #: "fails" if a sample is beyond the bounds, "no check" if no sample was checked by bounds that mean something, else
+    #: "holds".
     verdict: Literal["holds", "fails", "no check"]
     sizes: tuple[CheckedSize, ...]  #: Each sample, in the order of the draw.
 
     def warnings(self) -> list[str]:
-        """Return a sentence about samples that were not checked."""
-        if not self.not_checked:
-            return []
-        return [
-            f"{self.not_checked} of {self.samples} samples are not checked: the finer {self.against} ended at no "
-            "smaller error than the library's. Check them by the other solver (--against), whose error is independent"
-        ]
+        """Return sentences about samples that were not checked, and about bounds that exclude nothing."""
+        sentences = []
+        if self.not_checked:
+            sentences.append(
+                f"{self.not_checked} of {self.samples} samples are not checked: the finer {self.against} ended at no "
+                "smaller error than the library's. Check them by the other solver (--against), whose error is "
+                "independent"
+            )
+        if self.vacuous:
+            sentences.append(
+                f"{self.vacuous} of {self.samples} samples have an error bound of {VACUOUS:g} or more (at most "
+                f"{self.max_stated_error:.2g}), which excludes hardly any amplitude: to hold it means nothing. The "
+                "errors found are worth what they are; a smaller `sweep.size_grid_nm` gives smaller bounds"
+            )
+        return sentences
 
 
 def check(
@@ -108,6 +121,8 @@ def check(
     beyond = int(np.count_nonzero(error > response.error + solver_error))
     same_solver = library.unit_cell.solver.name == against
     idle = int(np.count_nonzero(solver_error >= response.error)) if same_solver else 0
+    vacuous = response.error + solver_error >= VACUOUS
+    says_nothing = vacuous | (solver_error >= response.error if same_solver else False)
     worst = int(np.argmax(error))
     phase_error = np.abs(np.angle(t / reference))[np.abs(reference) >= LEAST_AMPLITUDE]
     rows = np.stack([width_nm, length_nm, error, response.error, solver_error], axis=-1)
@@ -125,6 +140,7 @@ def check(
         worst_width_nm=float(width_nm[worst]),
         worst_length_nm=float(length_nm[worst]),
         solver_seconds=float(sum(answer.seconds for answer in answers)),
-        verdict="fails" if beyond else "no check" if idle == samples else "holds",
+        vacuous=int(np.count_nonzero(vacuous)),
+        verdict="fails" if beyond else "no check" if np.all(says_nothing) else "holds",
         sizes=tuple(CheckedSize(*row) for row in rows.tolist()),
     )

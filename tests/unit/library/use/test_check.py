@@ -72,3 +72,16 @@ def test_a_check_that_is_none_says_so(stored: Library) -> None:
     # Another solver is a check whatever its error.
     other = library.check(stored, against="meep", samples=9, solver=_Biased(0.0, 1e-2))
     assert (other.verdict, other.not_checked) == ("holds", 0)
+
+
+def test_a_bound_that_excludes_nothing_is_no_check(stored: Library) -> None:
+    """A stated error of 1.1 holds for any amplitude."""
+    loose = replace(stored, error=np.where(np.arange(3) < 2, 1.1, 1e-3) * np.ones_like(stored.error))
+    found = library.check(loose, against="meep", samples=9, solver=_Biased(0.004, 5e-3))
+    assert (found.verdict, found.vacuous) == ("holds", 6)
+    (sentence,) = found.warnings()
+    assert "6 of 9 samples have an error bound of 0.5 or more (at most 1.1)" in sentence
+    all_loose = replace(stored, error=np.full_like(stored.error, 1.1))
+    assert library.check(all_loose, against="meep", samples=9, solver=_Biased(0.004, 5e-3)).verdict == "no check"
+    # What is off by more than even such a bound fails.
+    assert library.check(all_loose, against="meep", samples=9, solver=_Biased(1.5, 5e-3)).verdict == "fails"
