@@ -208,7 +208,8 @@ def _picture_efficiency(design: Design, written: Psf) -> float | None:
     """Share of the light within the frames of the pictures; None without one, or beside the window."""
     from metafab.optics.measures.metrics import frame_efficiency
 
-    depth, shares = _focus_index(design, written), []
+    depth = _focus_index(design, written)
+    shares: list[float] = []
     for term in design.phase:
         if isinstance(term, Picture):
             rows, columns = read_grey(term.file).shape
