@@ -9,6 +9,7 @@
 - ``shares``          outlines from a model of the frame with occlusion
 - ``fit``             null energy of the twins by place: whether a segment explains its pixels; continuous surfaces
 - ``null_channel``    difference of the twins in which a surface vanishes, and the evidence of light before it
+- ``object_fit``      depth of a rectangle of light before a surface, by a model of both images with occlusion
 - ``small_objects``   rectangles of light before a segment, by ascent of their evidence
 - ``segments``        layers of depth, connected segments, the depth of a segment; Regions: all segments of a frame
 - ``regions``         CostVolume and PixelDepth -> Regions: the whole way

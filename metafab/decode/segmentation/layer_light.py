@@ -119,13 +119,26 @@ class LayerOptics:
             calibration.block_weights(downsampling.shape, step, _BLOCK_PX // step),
             tiling,
             np.ascontiguousarray(np.moveaxis(of_tiles, 1, 2)),
-            _texture_amplitude(tiling.size, step),
+            texture_amplitude(tiling.size, step),
         )
 
     @property
     def nbytes(self) -> int:
         """Memory of the kernels."""
         return self.kernels.nbytes + self.field_weights.nbytes + self.of_tiles.nbytes + self.texture.nbytes
+
+    def pair_about(self, middle: tuple[int, int], side: int) -> NDArray[np.complex64]:
+        """Transforms of the pair at the calibrated depths about a downsampled pixel (row, column) of the window.
+
+        Shape (n_depth, 2, side, side // 2 + 1); ``side`` is no smaller than that of the kernels.
+        """
+        block = self.field_weights.shape[0] / self.downsampling.shape[0]
+        at = [
+            min(max(int(place * block), 0), n - 1)
+            for place, n in zip(middle, self.field_weights.shape[:2], strict=True)
+        ]
+        kernels = np.tensordot(self.field_weights[at[0], at[1]], np.moveaxis(self.kernels, 2, 0), axes=(0, 0))
+        return transfer_functions(kernels, (side, side)).astype(np.complex64).swapaxes(0, 1)
 
     def shifts_px_m(self) -> FloatArray:
         """Shift of an outline as seen from each point of the aperture, for 1/m between the vergences of two layers.
@@ -154,12 +167,13 @@ class LayerOptics:
         transfer = transfer_functions(kernels, self.tiling.size).astype(np.complex64)
         return LayerLight(of_tile, transfer, self.texture)
 
-    def aperture(self, vergence_per_m: float) -> NDArray[np.complex64]:
+    def aperture(self, vergence_per_m: float, size: tuple[int, int] | None = None) -> NDArray[np.complex64]:
         """Transfer function of the share of the aperture that a nearer layer covers, shape (n_ky, n_kx).
 
-        ``vergence_per_m`` is that of the nearer layer, less that of the layer behind it.
+        ``vergence_per_m`` is that of the nearer layer, less that of the layer behind it; ``size``, (n_y, n_x), is that
+        of a tile by default.
         """
-        ky, kx = frequencies(self.tiling.size, 1)
+        ky, kx = frequencies(size or self.tiling.size, 1)
         along_x, along_y = (
             np.exp(2j * np.pi * vergence_per_m * shift[:, None] * k)
             for shift, k in zip(self._shifts.T, (kx, ky), strict=True)
@@ -167,7 +181,17 @@ class LayerOptics:
         return np.asarray(along_y.T @ along_x / len(along_x), dtype=np.complex64)
 
 
-def _texture_amplitude(size: tuple[int, int], step: int) -> NDArray[np.float32]:
+def at_depth(optics: LayerOptics, pair: NDArray[np.complex64], vergence_per_m: float) -> NDArray[np.complex64]:
+    """The pair of :meth:`LayerOptics.pair_about`, shape (n_depth, ...), at one depth: shape (...)."""
+    weights = optics.calibration.depth_weights(np.array([vergence_per_m]))[0]
+    return np.asarray(np.tensordot(weights.astype(np.float32), pair, axes=(0, 0)))
+
+
+def texture_amplitude(size: tuple[int, int], step: int) -> NDArray[np.float32]:
+    """Amplitude of a texture of unit variance and 1/k spectrum on (n_y, n_x) pixels ``step`` frame pixels apart.
+
+    Shape (n_y, n_x // 2 + 1).
+    """
     ky, kx = frequencies(size, step)
     power = 1.0 / (ky[:, None] ** 2 + kx[None, :] ** 2 + LOWEST_FREQUENCY**2)
     both_halves = 2.0 * power.sum() - power[:, 0].sum() - power[:, -1].sum()

@@ -25,7 +25,7 @@ from metafab.core.numeric.compiled import compiled
 from metafab.decode.matching.filter_basis import frequencies
 from metafab.decode.matching.levels import LOWEST_FREQUENCY
 from metafab.decode.matching.pooling import window_means
-from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.layer_light import LayerOptics, at_depth
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Side of the square about a pixel in which a null channel is computed, downsampled pixels.
@@ -62,30 +62,19 @@ class NullChannel:
         cls, prepared: PreparedFrame, optics: LayerOptics, middle: tuple[int, int], surface_per_m: float
     ) -> NullChannel | None:
         """The null channel about a pixel; None without light in both images."""
-        n, margin, step = WINDOW, prepared.downsampling.margin, prepared.downsampling.step
-        window = np.zeros((2, n, n))
-        corner = [place + margin - n // 2 for place in middle]
-        part = tuple(slice(max(0, c), min(c + n, m)) for c, m in zip(corner, prepared.images.shape[1:], strict=True))
-        images = prepared.images[:, *part]
-        level = np.median(images, axis=(1, 2)).astype(np.float64)
+        n, step = WINDOW, prepared.downsampling.step
+        images, inside = prepared.about(middle, n)
+        level = np.median(images[:, inside], axis=1).astype(np.float64)
         if not (level > 0.0).all():
             return None
-        to = tuple(slice(p.start - c, p.stop - c) for p, c in zip(part, corner, strict=True))
-        window[:, *to] = images - level[:, None, None]
+        window = np.where(inside, images - level[:, None, None], 0.0)
         fade = (n - _EVEN) // 2
         taper = np.ones(n)
         taper[:fade] = np.sin(0.5 * np.pi * (np.arange(fade) + 0.5) / fade) ** 2
         taper[n - fade :] = taper[fade - 1 :: -1]
-        block = optics.field_weights.shape[0] / prepared.downsampling.shape[0]
-        at = [min(int(place * block), m - 1) for place, m in zip(middle, optics.field_weights.shape[:2], strict=True)]
-        kernels = np.tensordot(optics.field_weights[at[0], at[1]], np.moveaxis(optics.kernels, 2, 0), axes=(0, 0))
-        size = kernels.shape[-1]
-        padded = np.zeros((*kernels.shape[:2], n, n), dtype=np.float32)
-        padded[..., :size, :size] = kernels
-        centred = np.roll(padded, (-(size // 2), -(size // 2)), (-2, -1))
-        nodes = scipy.fft.rfft2(centred).astype(np.complex64).swapaxes(0, 1)
+        nodes = optics.pair_about(middle, n)
         light = float(level.mean())
-        surface = _at_depth(optics, nodes, surface_per_m)
+        surface = at_depth(optics, nodes, surface_per_m)
         crossed = surface[::-1] * (light / level * np.array([1.0, -1.0]))[:, None, None]
         noise = (level + prepared.levels.read_noise_e**2) * (n / step) ** 2
         both = np.abs(surface[0] * surface[1]) ** 2
@@ -96,12 +85,7 @@ class NullChannel:
 
     def response(self, vergence_per_m: float) -> NDArray[np.complex128]:
         """Transforms of the null channel of a point of light at a depth in either image: shape (2, n, n // 2 + 1)."""
-        return np.asarray(self.crossed * _at_depth(self.optics, self.nodes, vergence_per_m))
-
-
-def _at_depth(optics: LayerOptics, nodes: NDArray[np.complex64], vergence_per_m: float) -> NDArray[np.complex64]:
-    weights = optics.calibration.depth_weights(np.array([vergence_per_m]))[0]
-    return np.asarray(np.tensordot(weights.astype(np.float32), nodes, axes=(0, 0)))
+        return np.asarray(self.crossed * at_depth(self.optics, self.nodes, vergence_per_m))
 
 
 def _texture_power(n: int, step: int) -> FloatArray:

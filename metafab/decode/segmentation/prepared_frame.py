@@ -82,6 +82,18 @@ class PreparedFrame:
         twins = self.twins.within(*self.downsampling.frame_slices(rows, columns))
         return PreparedFrame(twins, self.levels, part, self.spectra[:0], images, self.spill)
 
+    def about(self, middle: tuple[int, int], side: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Both images in a square about a downsampled pixel (row, column), and whether a pixel lies in the images.
+
+        Shapes (2, side, side), electrons, 0 outside of the images, and (side, side).
+        """
+        square, inside = np.zeros((2, side, side), dtype=np.float32), np.zeros((side, side), dtype=bool)
+        corner = [place + self.downsampling.margin - side // 2 for place in middle]
+        part = tuple(slice(max(0, c), min(c + side, m)) for c, m in zip(corner, self.images.shape[1:], strict=True))
+        to = tuple(slice(p.start - c, p.stop - c) for p, c in zip(part, corner, strict=True))
+        square[:, *to], inside[to] = self.images[:, *part], True
+        return square, inside
+
     @property
     def window(self) -> int:
         """Side of the narrowest window, downsampled pixels; odd."""

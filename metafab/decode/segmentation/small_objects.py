@@ -3,7 +3,8 @@
 An object's light is left in the surface's null channel (:mod:`metafab.decode.segmentation.null_channel`). An object is
 a rectangle of even light, of a contrast of its own. Depth, place and size maximise its evidence by ascent, first in
 coarse steps. The evidence falls for rectangles that are too large as well as for those that are too small. Blobs whose
-light no rectangle explains, or whose evidence hardly depends on depth, are rejected after the coarse steps.
+light no rectangle explains, or whose evidence hardly depends on depth, are rejected. Depth and rectangle of the others
+follow from a model of both images with occlusion (:mod:`metafab.decode.segmentation.object_fit`).
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR
 from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.null_channel import WINDOW, NullChannel, Rectangle, RectangleEvidence
+from metafab.decode.segmentation.object_fit import fitted_object
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Largest side of a blob that is searched, downsampled pixels: larger objects have segments.
@@ -37,8 +39,8 @@ _MOST_BLOBS = 40
 #: Candidate depths: from this ratio to the surface's vergence to this share of the largest calibrated one, and their
 #: number.
 _NEAREST_RATIO, _RANGE_SHARE, _CANDIDATES = 1.12, 0.97, 9
-#: Steps of the sides of rectangles, downsampled pixels: at the candidates, and while depth is refined.
-_COARSE_STEPS, _FINE_STEPS = (2.0, 1.0), (0.5, 0.25, 0.12)
+#: Steps of the sides of rectangles at the candidates, downsampled pixels.
+_COARSE_STEPS = (2.0, 1.0)
 #: Moves of a rectangle (middle and half sides along y and x): as a whole, and each of its sides.
 _MOVES = np.array(
     [[1, 0, 0, 0], [0, 1, 0, 0], *([y, x, abs(y), abs(x)] for y, x in ((0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5)))]
@@ -56,8 +58,10 @@ _LEFT = 3.0
 #: error by which coarse steps may miss them. The coarse steps of 13 objects found left 4.5 and 3.6 at most, with errors
 #: of 0.038 at most. Other light of two photographs left 4.4 to 6.2, or gave 0.077 to 0.25.
 _COARSE_EVIDENCE, _COARSE_LEFT, _COARSE_ERROR = 0.5, (2.0, 1.5), 1.7
-#: Error of depth in standard errors of the evidence at the best rectangle: rms of 60 objects of 20 to 39 px in three
-#: frames (3.1, 3.1 and 4.0), where what the null channel does not model outweighs noise. The median is 1.8.
+#: Relative difference of depths of one surface, and rounds in which a rectangle's light settles.
+_ONE_SURFACE, _LIGHT_ROUNDS = 0.02, 3
+#: Error of depth in standard errors of the evidence at the best rectangle of the coarse steps: rms of 60 objects of 20
+#: to 39 px in three frames, where what the null channel does not model outweighs noise.
 _ERROR_RATIO = 3.4
 
 
@@ -105,10 +109,17 @@ def small_objects(
         if is_within and is_wide and strength.max() >= _PEAK_MISFIT:
             blobs.append((float(strength.sum()), at, own))
 
+    plain_light = ~foreign & ~prepared.spoiled
+
     def searched(blob: tuple[float, tuple[slice, slice], NDArray[np.bool_]]) -> SmallObject | None:
         _, at, own = blob
         weight = np.where(own, misfit[at], np.float32(0.0)).astype(np.float64)
-        return _search(prepared, optics, float(np.median(vergence_per_m[at][own])), at, weight)
+        surface_per_m = float(np.median(vergence_per_m[at][own]))
+        of_surface = plain_light & (np.abs(vergence_per_m / surface_per_m - 1.0) < _ONE_SURFACE)
+        if not of_surface.any():
+            return None
+        level_e = prepared.inner[:, of_surface].mean(axis=1, dtype=np.float64)
+        return _search(prepared, optics, (surface_per_m, level_e), at, weight)
 
     with kept_threads() as pool:
         found = list(pool.map(searched, sorted(blobs, key=lambda one: -one[0])[:_MOST_BLOBS]))
@@ -116,14 +127,23 @@ def small_objects(
 
 
 def _search(
-    prepared: PreparedFrame, optics: LayerOptics, surface_per_m: float, at: tuple[slice, slice], weight: FloatArray
+    prepared: PreparedFrame,
+    optics: LayerOptics,
+    surface: tuple[float, FloatArray],
+    at: tuple[slice, slice],
+    weight: FloatArray,
 ) -> SmallObject | None:
-    """The object in a blob: ``weight``, shape (n_y, n_x), is its misfit, 0 outside; None if nothing fits."""
+    """The object in a blob; None if nothing fits.
+
+    ``surface`` is 1/depth and mean light in both images, shape (2,); ``weight``, shape (n_y, n_x), is the blob's
+    misfit, 0 outside.
+    """
+    surface_per_m, level_e = surface
     total = weight.sum()
     row, column = (float((weight.sum(axis=1 - axis) * np.arange(weight.shape[axis])).sum() / total) for axis in (0, 1))
     middle = round(at[0].start + row), round(at[1].start + column)
     channel = NullChannel.of(prepared, optics, middle, surface_per_m)
-    if channel is None:
+    if channel is None or not (level_e > 0.0).all():
         return None
     # Rectangles are in the channel's window, whose middle is that of the blob.
     first = np.array([at[0].start - middle[0], at[1].start - middle[1]]) + WINDOW // 2
@@ -148,17 +168,25 @@ def _search(
     vergence, rectangle, error = ascent.over_depths(rectangle)
     if error > _COARSE_ERROR * LARGEST_ERROR or left(vergence, rectangle, even)[own].mean() > most_at_best:
         return None
-    evidence, vergence, rectangle, light = ascent.refined(vergence, rectangle)
-    around = [evidence_of.at(vergence * (1.0 + one), rectangle, light) for one in (-0.01, 0.01)]
-    error = _depth_error(2.0 * evidence - sum(around), 0.01)
-    if evidence < _LEAST_EVIDENCE or not error < LARGEST_ERROR or vergence > largest:
+    origin = np.array([WINDOW // 2, WINDOW // 2, 0.0, 0.0])
+    begun = vergence, rectangle - origin
+    fitted = fitted_object(prepared, optics, middle, max(weight.shape), (surface_per_m, level_e), begun)
+    if fitted is None or not fitted.relative_error < LARGEST_ERROR or fitted.vergence_per_m > largest:
+        return None
+    vergence, rectangle, light = fitted.vergence_per_m, fitted.rectangle + origin, even
+    if not ascent.is_allowed(rectangle):
+        return None
+    for _ in range(_LIGHT_ROUNDS):
+        light = evidence_of.light(vergence, rectangle, light)
+    evidence = evidence_of.at(vergence, rectangle, light)
+    if evidence < _LEAST_EVIDENCE:
         return None
     beside, _ = ascent.over_sides(surface_per_m, rectangle, light, (1.0,))
     energy = left(vergence, rectangle, light)
     mask = evidence_of.cover(rectangle)[inside] > 0.5
     if evidence - beside < _LEAST_MARGIN or energy[own].mean() > _LEFT or not mask.any():
         return None
-    return SmallObject(vergence, error, evidence, mask, energy, at)
+    return SmallObject(vergence, fitted.relative_error, evidence, mask, energy, at)
 
 
 def _depth_error(fall: float, relative_step: float) -> float:
@@ -186,7 +214,7 @@ class _Ascent:
                 for move in _MOVES:
                     for change in (step, -step):
                         other = rectangle + change * move
-                        if not self._is_allowed(other):
+                        if not self.is_allowed(other):
                             continue
                         evidence = self.evidence.at(vergence_per_m, other, light)
                         if evidence > best:
@@ -219,21 +247,7 @@ class _Ascent:
         _, rectangle, vergence = max(beside, key=lambda one: one[0])
         return vergence, rectangle, error
 
-    def refined(self, vergence_per_m: float, rectangle: Rectangle) -> tuple[float, float, Rectangle, FloatArray]:
-        """Ascent over rectangle, depth and contrast: evidence, depth, rectangle and light in both images."""
-        light, best, spacing = np.ones(2), -np.inf, float(self.candidates[1] - self.candidates[0])
-        nearest = float(self.candidates[-1]) / _RANGE_SHARE
-        for step in _FINE_STEPS:
-            light = self.evidence.light(vergence_per_m, rectangle, light)
-            best, rectangle = self.over_sides(vergence_per_m, rectangle, light, (step,))
-            for change in (step, 0.5 * step, -step, -0.5 * step):
-                while self.surface_per_m < (other := vergence_per_m + change * spacing) < nearest:
-                    evidence = self.evidence.at(other, rectangle, light)
-                    if evidence <= best:
-                        break
-                    best, vergence_per_m = evidence, other
-        return best, vergence_per_m, rectangle, light
-
-    def _is_allowed(self, rectangle: Rectangle) -> bool:
+    def is_allowed(self, rectangle: Rectangle) -> bool:
+        """Whether a rectangle lies within the object's pixels and is no smaller than the least one."""
         places = zip(rectangle[:2].tolist(), rectangle[2:].tolist(), *self.limits.tolist(), strict=True)
         return all(half >= _LEAST_HALF and low <= mid - half and mid + half <= high for mid, half, low, high in places)
