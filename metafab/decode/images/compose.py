@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.figures import DecodingFigures, SegmentFigures
+from metafab.core.numeric.distance import distance
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LEAST_RIGHT, RIGHT_WITHIN, confidence
 from metafab.decode.image import Image4D
@@ -21,7 +22,6 @@ from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.registration.downsampling import enlarged, relative_slices, repeated
 from metafab.decode.registration.twins import TwinGrid
-from metafab.decode.segmentation.distance import distance
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
 from metafab.decode.segmentation.segments import Regions, grown
 

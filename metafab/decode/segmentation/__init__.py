@@ -1,7 +1,6 @@
 """Segmentation: connected pixels of one plane, and the depth of each segment from all of its pixels.
 
 - ``prepared_frame``  PreparedFrame: registered twins, their spectra, masks of light and texture
-- ``distance``        Euclidean distance transform
 - ``planes``          tilted planes through cells of a segment: least median of squares, RANSAC
 - ``outlines``        refinement of outlines by threshold dynamics
 - ``layer_light``     light of layers in tiles: its blur on the downsampled pixels

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.distance import distance, nearest
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.matching.semi_global import cheapest_levels
-from metafab.decode.segmentation.distance import distance, nearest
 from metafab.decode.segmentation.planes import Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.segments import Regions

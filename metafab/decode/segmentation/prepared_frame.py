@@ -11,12 +11,12 @@ from scipy.ndimage import maximum_filter
 
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.distance import distance
 from metafab.decode.matching.levels import Levels
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.registration.downsampling import Downsampling, blocks_with
 from metafab.decode.registration.pedestal import pedestal_e, without_pedestal
 from metafab.decode.registration.twins import TwinGrid, Twins, extract
-from metafab.decode.segmentation.distance import distance
 
 #: Side of the narrowest window from which a depth is measured, frame pixels.
 WINDOW_PX = 28

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_opening
 from scipy.sparse.csgraph import connected_components
 
+from metafab.core.numeric.distance import distance
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR, right_segment
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
-from metafab.decode.segmentation.distance import distance
 from metafab.decode.segmentation.fit import (
     Misfit,
     across_outlines,

@@ -14,10 +14,10 @@ from scipy.ndimage import distance_transform_cdt, gaussian_filter1d
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.distance import distance, nearest
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, spline_peaks, standard_error
 from metafab.decode.matching.pooling import window_means
-from metafab.decode.segmentation.distance import distance, nearest
 from metafab.decode.segmentation.outlines import ROUNDS, refined_outlines
 from metafab.decode.segmentation.planes import Plane
 

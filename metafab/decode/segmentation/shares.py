@@ -25,9 +25,9 @@ from scipy.ndimage import find_objects
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.distance import distance, nearest
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.matching.pooling import window_means
-from metafab.decode.segmentation.distance import distance, nearest
 from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.segments import SegmentDepth

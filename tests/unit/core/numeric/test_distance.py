@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from metafab.decode.segmentation.distance import distance, nearest
+from metafab.core.numeric.distance import distance, nearest
 
 
 @settings(max_examples=60, deadline=None)
