@@ -110,7 +110,7 @@ class _Window:
 
     @property
     def side(self) -> int:
-        return self.images.shape[-1]
+        return int(self.images.shape[-1])
 
     @classmethod
     def of(
@@ -237,7 +237,8 @@ class _Linear:
         first = np.zeros(len(self.slopes))
         first[0] = 1.0
         _, column = self._solution(np.zeros_like(self.textures), first)
-        return math.sqrt(column[0]) if column[0] > 0.0 else math.inf
+        variance = float(column[0])
+        return math.sqrt(variance) if variance > 0.0 else math.inf
 
     def _solution(self, right: _Spectra, right_free: FloatArray) -> tuple[_Spectra, FloatArray]:
         """Product of the inverse information matrix and the right sides, by preconditioned conjugate gradients."""
@@ -265,4 +266,4 @@ class _Linear:
 def _product(one: _Spectra, other: _Spectra) -> float:
     """Dot product of pictures, shape (..., n, n), of transforms (..., n, n // 2 + 1)."""
     both = one.real * other.real + one.imag * other.imag
-    return float(2.0 * both.sum() - both[..., 0].sum() - both[..., -1].sum()) / one.shape[-2] ** 2
+    return float(2.0 * both.sum() - both[..., 0].sum() - both[..., -1].sum()) / float(one.shape[-2] ** 2)

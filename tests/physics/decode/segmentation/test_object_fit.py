@@ -25,6 +25,7 @@ def fitted(seed: int, contrast: float, start_ratio: float) -> tuple[FittedObject
     )
     frame = capture(Scene(objects=things, photons_per_pixel=3000.0, field_px=(260, 165), seed=seed), psf)
     decoder = Decoder.of(psf, frame.frame.shape, frame.origin_um, frame.x_window)
+    assert decoder is not None
     prepared = decoder.prepare(replace(frame, truth=None))
     assert not isinstance(prepared, str)
     step, grid = prepared.downsampling.step, decoder.calibration.grid
