@@ -69,6 +69,9 @@ def _text(path: Path) -> str:
         raise InputError.single(str(path), "file", "a TOML file", "a folder, pipe or device", "check the path")
     most_mb = limit("memory_mb", _LARGEST_MB)
     if (size := path.stat().st_size) > 1e6 * most_mb:
+        with path.open("rb") as file:
+            if b"\0" in (start := file.read(4096)):
+                raise UnicodeDecodeError("utf-8", start, 0, 1, "a binary file")
         expected = f"a TOML file of at most {most_mb:g} MB"
         raise beyond(str(path), "file", "memory_mb", expected, f"{size} bytes", by_design=False)
     text = path.read_text(encoding="utf-8-sig")  # Editors on Windows write a byte-order mark.

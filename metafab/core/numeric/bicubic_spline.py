@@ -100,16 +100,19 @@ def left_out_error(values: ComplexArray) -> FloatArray:
     miss = np.zeros(values.shape[:2])
     for axis in (0, 1):
         moved = np.moveaxis(values, axis, 0)
-        coarse = moved[::2]
-        if coarse.shape[0] < 4:
+        if moved.shape[0] < 7:
             return np.full(values.shape[:2], np.abs(values).max())
-        middle = (-coarse[:-3] + 9.0 * coarse[1:-2] + 9.0 * coarse[2:-1] - coarse[3:]) / 16.0
-        error = np.abs(middle - moved[3::2][: middle.shape[0]]).max(axis=-1)
         full = np.zeros((moved.shape[0], moved.shape[1]))
-        full[3 : 3 + 2 * error.shape[0] : 2] = error
-        # The outermost interval lacks a node on one side and takes the nearest inner value.
-        full[:3] = full[3]
-        full[2 + 2 * error.shape[0] :] = full[1 + 2 * error.shape[0]]
+        for first in (0, 1):  # odd nodes are left out, then even ones
+            coarse = moved[first::2]
+            if coarse.shape[0] < 4:
+                continue
+            middle = (-coarse[:-3] + 9.0 * coarse[1:-2] + 9.0 * coarse[2:-1] - coarse[3:]) / 16.0
+            # The outermost intervals lack a node on one side: the cubic goes on from the other.
+            low, high = ((5.0 * a + 15.0 * b - 5.0 * c + d) / 16.0 for a, b, c, d in (coarse[:4], coarse[:-5:-1]))
+            found = np.concatenate([low[None], middle, high[None]])
+            left_out = slice(first + 1, first + 2 * found.shape[0], 2)
+            full[left_out] = np.abs(found - moved[left_out]).max(axis=-1)
         miss = np.maximum(miss, full if axis == 0 else full.T)
     return np.asarray(maximum_filter(miss, size=3, mode="nearest"), dtype=np.float64)
 

@@ -109,6 +109,7 @@ def test_a_sweep_beyond_the_period_is_refused(tmp_path: Path) -> None:
         ("name = ", "invalid TOML"),
         ("a = 1", "unknown"),
         (b"\xff\xfe", "no text in UTF-8.*metafab psf"),
+        pytest.param(b"\x00\x06" * 2_100_000, "no text in UTF-8.*metafab psf", id="large mask"),
     ],
 )
 def test_unusable_files_say_what_is_wrong(tmp_path: Path, content: str | bytes | None, message: str) -> None:
@@ -157,6 +158,7 @@ def test_files_without_an_end_and_huge_ones_are_refused_at_once(tmp_path: Path) 
     pipe, huge = tmp_path / "pipe.toml", tmp_path / "huge.toml"
     os.mkfifo(pipe)
     with huge.open("wb") as file:
+        file.write(b"#" * 4096)
         file.truncate(1 << 40)  # sparse: takes no disk, but more than any memory to read
     for path, got in ((pipe, "a folder, pipe or device"), (tmp_path, "a folder"), (huge, "1099511627776 bytes")):
         with pytest.raises(InputError, match=f"`file`: expected a TOML file.*got {got}"):

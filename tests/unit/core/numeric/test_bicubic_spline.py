@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.core.numeric.bicubic_spline import SplineTiles, bicubic_coefficients
+from metafab.core.numeric.bicubic_spline import SplineTiles, bicubic_coefficients, left_out_error
 
 
 def tiles_of(values: ComplexArray, cells: tuple[int, int]) -> SplineTiles:
@@ -76,3 +78,20 @@ def test_a_spline_passes_through_its_nodes() -> None:
     values, error = np.empty((72, 2), dtype=np.complex128), np.empty(72)
     tiles.evaluate(x, y, values, error)
     assert np.allclose(values.reshape(9, 8, 2), nodes, atol=1e-12)
+
+
+@pytest.mark.parametrize("half_width", [0.6, 1.0, 2.0])
+@pytest.mark.parametrize("count", [8, 9, 20])
+def test_the_error_between_nodes_covers_a_resonance_wherever_it_lies(half_width: float, count: int) -> None:
+    """Poles of 0.6 steps and wider, also in the outermost steps; leaving out odd nodes alone missed up to 4.6 times."""
+    nodes, fine = np.arange(count), np.linspace(0.0, count - 1.0, 100 * (count - 1) + 1)
+    cell = np.minimum(fine.astype(int), count - 2)
+    for place in np.linspace(-0.5, count - 0.5, 61):
+
+        def amplitude(u: FloatArray, place: float = float(place)) -> ComplexArray:
+            return np.asarray(1.0 - 1.0 / (1.0 - 1j * (u - place) / half_width))
+
+        error = left_out_error(np.repeat(amplitude(nodes)[None, :, None], 7, axis=0))[3]
+        stated = np.maximum(error[1:], error[:-1])
+        found = np.abs(CubicSpline(nodes, amplitude(nodes))(fine) - amplitude(fine))
+        assert (found <= stated[cell] + 1e-9).all(), place
