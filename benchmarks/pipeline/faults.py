@@ -215,7 +215,7 @@ def _cluster() -> Iterator[Case]:
             while not address_file.is_file():
                 time.sleep(0.1)
             process = _started(*build, "--cluster", json.loads(address_file.read_text(encoding="utf-8"))["address"])
-            while process.poll() is None and not list(folder.glob(f"{out.name}.*.partial")):
+            while process.poll() is None and not list(folder.glob(f"{out.stem}.*.partial")):
                 time.sleep(0.1)
             start = time.perf_counter()
             os.kill((scheduler if victim == "scheduler" else worker).pid, getattr(signal, f"SIG{how}"))
@@ -226,9 +226,9 @@ def _cluster() -> Iterator[Case]:
                 faults += _ended(_metafab(*build), 0)
             else:
                 assert process.stderr is not None
-                said = process.stderr.readline()
+                said = next((line for line in process.stderr if "worker" in line), "")
                 seconds = time.perf_counter() - start
-                faults = [] if "worker" in said and seconds < WORKERS_S else [f"after {seconds:.0f} s: {said.strip()}"]
+                faults = [] if said and seconds < WORKERS_S else [f"after {seconds:.0f} s: {said.strip()}"]
                 replacement = _dask("worker", "--nthreads", "1", "--no-nanny", *at)
                 faults += _ended(_finished(process), 0)
                 replacement.kill()
