@@ -61,8 +61,8 @@ def test_a_process_that_outlives_its_parent_is_found_and_ended(monkeypatch: pyte
 
 
 def test_every_damage_changes_the_file(tmp_path: Path) -> None:
-    for name, kinds in {"a.json": 4, "a.h5": 2, "a.png": 1}.items():
+    for name, kinds in {"a.json": 6, "a.h5": 2, "a.png": 1}.items():
         path = tmp_path / name
-        path.write_bytes(b"{'a': [1, 2, 3]}")
+        path.write_bytes(b'{"a": [1, 2, 3]}')
         damages = faults._damages(path)
         assert len(damages) == kinds and path.read_bytes() not in damages.values()
