@@ -1,8 +1,8 @@
 """Depth and outline of a small object by a model of both images: a surface, and a rectangle of light before it.
 
-An object no larger than the blur changes what is seen of the texture behind it, and the model holds all of that as the
-camera does (:mod:`metafab.camera.rendering.occlusion`): from each point of the surface, the object hides a share of the
-aperture; and a pixel whose view the object covers by the share a shows 1 - a of the surface's light.
+An object no larger than the blur hides part of the texture behind it. The model has the occlusion of the camera
+(:mod:`metafab.camera.rendering.occlusion`): the object hides a share of the aperture from each point of the surface,
+and a pixel of which it covers the share a shows 1 - a of the light of the surface.
 
 Both textures have a 1/k spectrum and are integrated out. A Gauss-Newton step solves by conjugate gradients for them and
 for the changes of depth, rectangle and mean intensities at once. The standard error of the depth is that of the
@@ -64,7 +64,7 @@ def fitted_object(
     surface: tuple[float, FloatArray],
     start: tuple[float, Rectangle],
 ) -> FittedObject | None:
-    """Fit the object in a window about a pixel (row, column); None where it leaves the calibrated depths.
+    """Fit the object in a window about a pixel (row, column); None beyond the surface or the nearest calibrated depth.
 
     Args:
         prepared: the frame.
