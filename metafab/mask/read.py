@@ -189,10 +189,11 @@ def _recover(
             recoveries[number].add(of_copies[number], chunk.shift)
         for other in chunk.others:
             _add_foreign(other, foreign, boxes)
-        done += len(chunk.rectangles)
+        shapes = len(chunk.rectangles) + sum(len(other.boxes) for other in chunk.others)
+        done += shapes
         if not reader.is_counted:  # The total was an estimate: blocks were skipped.
             _refuse_many(path, done, most)
-            reader.budget.place(len(chunk.rectangles))
+            reader.budget.place(shapes)
         progress("reading", min(done, total), total)
     progress("reading", total, total)
 

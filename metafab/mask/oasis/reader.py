@@ -2,8 +2,9 @@
 
 The file is parsed twice: once for cells, references and counts, and once, cell by cell, for the shapes. Runs of
 RECTANGLE records, which hold nearly all of a mask, are parsed by a compiled loop, all other records in Python. The
-first pass skips blocks that begin with a pillar, on the assumption that they hold only pillars. If the second pass
-finds anything else in such a block, it raises :class:`MixedBlockError`, and the file is read again without skipping.
+first pass skips blocks that begin with a pillar, on the assumption that they hold only pillars, at most one a byte.
+If the second pass finds anything else in such a block, it raises :class:`MixedBlockError`, and the file is read again
+without skipping.
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ _LARGEST_RATIO = 1032  # Deflate needs at least two bits for 258 bytes.
 
 
 class MixedBlockError(Exception):
-    """A block that was assumed to hold only pillars holds something else."""
+    """A block that was assumed to hold only pillars, at most one a byte, holds something else."""
 
 
 class OasisReader:
@@ -274,7 +275,7 @@ class _Pass:
             first = zlib.decompressobj(-15).decompress(content[:1024], 1)
             self._pillars_only = first == bytes([self._reader.pillar_kind]) and self._reader.skip_blocks
             if self._pillars_only and self._indexing and self._cell is not None:
-                # An upper bound: a pillar of a list takes at least one byte.
+                # An upper bound: a pillar of a list takes at least one byte, and the pass over the cell tests it.
                 self._cell.shape_count += size
                 self._reader.is_counted = False
                 self._pillars_only = False
@@ -394,7 +395,7 @@ class _Pass:
         cell.other_layers["{}/{} text".format(*modal.text_layer)] += count
 
     def _geometry(self, kind: int) -> None:
-        stream, modal, cell = self._stream, self._modal, self._inside()
+        stream, modal, cell, start = self._stream, self._modal, self._inside(), self._stream.position
         info = stream.byte()
         if kind == _EXTENSION_GEOMETRY:
             stream.unsigned()
@@ -403,6 +404,8 @@ class _Pass:
         shape, name = read_shape(kind, info, stream, modal)
         modal.geometry = modal.read_position(stream, modal.geometry, bool(info & 0b1_0000), bool(info & 0b1000))
         copies = self._repetition(bool(info & 0b100))
+        if self._pillars_only and copies.count > stream.position - start:
+            raise MixedBlockError
         wanted, first, last = self._reader.layer
         if modal.layer != wanted or not first <= modal.datatype <= last:
             if self._pillars_only:
@@ -445,6 +448,8 @@ class _Pass:
         end, count = read_rectangles(stream.data, stream.position, state, self._reader.layer, out, capacity)
         if end == stream.position:
             return False
+        if self._pillars_only and count > end - stream.position:
+            raise MixedBlockError
         stream.position = int(end)
         modal.layer, modal.datatype, x, y, modal.width, modal.height, repetition, _ = state.tolist()
         modal.geometry = (x, y)

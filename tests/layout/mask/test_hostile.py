@@ -108,6 +108,10 @@ REFUSED: dict[str, Callable[[], bytes]] = {
         _cell("A", _PILLAR), start=b"\x01" + string("1.0") + real(1e12) + b"\x01"
     ),
     "blocks of 2 GB": lambda: _oasis(_cell("A", *[_block(bytes(1 << 27))] * 16)),
+    "block of pillars 2^14 x 2^14": lambda: _oasis(_cell("T", _block(b"\x14\x7f" + _PILLAR[2:] + _REPETITION))),
+    "block of circles 2^14 x 2^14": lambda: _oasis(_cell("T", _block(
+        _PILLAR + b"\x1b\x3f" + unsigned(1) + unsigned(0) + unsigned(100) + signed(0) * 2 + _REPETITION
+    ))),
     "block of single records": lambda: _oasis(_cell("A", _block(b"\x0f\x10" * (1 << 23)))),
     "GDSII nested 1000 deep": lambda: _gdsii(
         ("C0", _boundary()), *((f"C{k}", _single(f"C{k - 1}")) for k in range(1, 1001))
