@@ -79,8 +79,9 @@ class Findings:
         ``count`` is the number of violations, if it is not n.
         """
         self.counts[rule] += len(boxes) if count is None else count
-        if len(boxes):
-            self._boxes[rule].append(boxes[:MARKERS])
+        kept = self._boxes[rule]
+        if len(boxes) and (room := MARKERS - sum(map(len, kept))) > 0:
+            kept.append(boxes[:room].copy())  # a view would hold all boxes
 
     def merge(self, other: Findings) -> None:
         """Add the violations of another part of the file."""
