@@ -17,6 +17,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,25 +99,36 @@ def fields_at(
     process).
     """
     sizes = MaskSizes.of(written, library)
+    plans = [_plan(sizes, library, corner) for _, corner in corners]
+    tasks = [sizes.tasks(library, plan, corner) for plan, (_, corner) in zip(plans, corners, strict=True)]
+    # One solver solves all cells of a call. Sloped circles have RCWA alone, by which changes of upright ones of silicon
+    # were off by up to 1.3 at these orders: corners whose cells have spectral elements are a call of their own.
+    by_elements = [all(is_treated(cell) for cell, _ in each) for each in tasks]
+    calls = []
+    for has_elements in (True, False):
+        chosen = [k for k in range(len(corners)) if by_elements[k] == has_elements]
+        is_sampled = any(plans[k].sampled for k in chosen)
+        sample = sizes.tasks(library, _Plan(sizes.sample), {}) if is_sampled else []
+        calls.append((chosen, [sample, *(tasks[k] for k in chosen)]))
     found: dict[int, CornerField] = {}
-    # The cells of a call are solved by one solver. Sloped circles have RCWA alone, by which changes of upright ones of
-    # silicon were off by up to 1.3 at these orders: upright corners have a call of their own.
-    of_their_own = library.unit_cell.cell.shape != "rectangle"
-    for sloped in (False, True) if of_their_own else (None,):
-        chosen = [k for k, (_, corner) in enumerate(corners) if sloped in (None, "sidewall_angle_deg" in corner)]
-        plans = [_plan(sizes, library, corners[k][1]) for k in chosen]
-        nominal = _Plan(sizes.sample) if any(plan.sampled for plan in plans) else _Plan()
-        tasks = []
-        for plan, corner in zip([nominal, *plans], [{}, *(corners[k][1] for k in chosen)], strict=True):
-            for slices, places in ((_SLICES, plan.solved), (_SLICES // 2, plan.checked)):
-                for width_nm, length_nm in sizes.size_nm[places].tolist():
-                    tasks.append((_cell(library, width_nm, length_nm, corner), slices))
-        amplitudes = solved_amplitudes(tasks, executor, progress)
-        before, *after = np.split(amplitudes, np.cumsum([plan.count for plan in (nominal, *plans)])[:-1])
-        for k, plan, solved in zip(chosen, plans, after, strict=True):
-            name, corner = corners[k]
-            found[k] = sizes.corner_field(written, library, name, corner, plan, before, solved)
+    done, total = 0, sum(len(part) for _, parts in calls for part in parts)
+    for chosen, parts in calls:
+        amplitudes = solved_amplitudes([*chain(*parts)], executor, _following(progress, done, total))
+        done += len(amplitudes)
+        before, *after = np.split(amplitudes, np.cumsum([len(part) for part in parts])[:-1])
+        for k, solved in zip(chosen, after, strict=True):
+            found[k] = sizes.corner_field(written, library, *corners[k], plans[k], before, solved)
     return [found[k] for k in range(len(corners))]
+
+
+def _following(progress: Progress, before: int, whole: int) -> Progress:
+    """Progress of a part that follows ``before`` of ``whole`` units."""
+
+    def advance(step: str, done: float, total: float) -> None:
+        """Report the units of the whole."""
+        progress(step, before + done, whole)
+
+    return advance
 
 
 def slice_error(before: ComplexArray, fine: ComplexArray, coarse: ComplexArray) -> float:
@@ -176,6 +188,14 @@ class MaskSizes:
         mirror = np.array([place.get((length, width), index.size) for width, length in size_nm.tolist()])
         return cls(index, size_nm, count, np.stack([stored.t_xx, stored.t_yy], axis=1), np.sort(chosen), mirror)
 
+    def tasks(self, library: Library, plan: _Plan, corner: Mapping[str, float]) -> list[tuple[PillarCell, int]]:
+        """Cells of a plan at a corner, each with its number of slices."""
+        return [
+            (_cell(library, width_nm, length_nm, corner), slices)
+            for slices, places in ((_SLICES, plan.solved), (_SLICES // 2, plan.checked))
+            for width_nm, length_nm in self.size_nm[places].tolist()
+        ]
+
     def corner_field(
         self,
         written: WrittenField,
@@ -232,7 +252,7 @@ class MaskSizes:
         images = self.mirror[solved[mirrored]]
         inside = np.setdiff1d(np.arange(self.index.size), np.concatenate([solved, images]))
         bias = {"cd_bias_nm": bias_nm}
-        tasks = [(_cell(library, w, length, bias), _SLICES) for w, length in self.size_nm[solved].tolist()]
+        tasks = self.tasks(library, _Plan(solved), bias)
         t, error = np.empty_like(self.t), np.full(self.index.size, solver_error(tasks, after))
         if inside.size:
             found = library.surface if library.is_continuous else library.at_sizes
@@ -250,7 +270,7 @@ class MaskSizes:
         sloped walls by RCWA state the error of the solution at the corner itself: beside resonances of crosses, ratios
         were off by up to 0.26.
         """
-        tasks = [(_cell(library, w, length, corner), _SLICES) for w, length in self.size_nm[self.sample].tolist()]
+        tasks = self.tasks(library, _Plan(self.sample), corner)
         if all(not cell.is_shaped or is_treated(cell) for cell, _ in tasks):
             return SOLVER_ERROR
         return solver_error(tasks, after)
