@@ -83,7 +83,8 @@ class Missing(Fault):
         for pupil in pupils:
             common = shared.setdefault(pupil.power.shape, random.normal(size=(3, *pupil.power.shape)))
             mean, scatter = np.full(pupil.power.shape, 1.0 - self.share), np.full(pupil.power.shape, variance)
-            thinned.append(_scattered(pupil, mean, np.sqrt(variance) * common + 0j, scatter, scatter, random))
+            found = _scattered(pupil, mean, np.sqrt(variance) * common + 0j, scatter, scatter, random)
+            thinned.append(replace(found, power=mean * pupil.power))
         return thinned
 
 

@@ -98,6 +98,14 @@ def test_missing_pillars_take_amplitude_and_power() -> None:
     assert relative_l2(nothing.psf, before.psf) < 1e-6
 
 
+def test_blocks_without_the_missing_pillars_transmit_less() -> None:
+    """The Strehl ratio is per unit of transmitted power."""
+    carrier = Carrier(0, Ray.towards_image(OPTICS, 0, DEPTH_M, (0.0, 0.0)), 8)
+    pupils = reduce_field(SOURCE, [carrier], OPTICS.wavenumber)
+    (thinned,) = Missing(0.1)(pupils, np.random.default_rng(2))
+    assert thinned.transmitted(carrier.ray) == pytest.approx(0.9 * pupils[0].transmitted(carrier.ray))
+
+
 @pytest.mark.parametrize(
     ("fault", "faulty"),
     [
