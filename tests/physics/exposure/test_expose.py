@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import erf, erfcinv
 
+from metafab.core.errors import InputError
 from metafab.exposure import (
     BeamPsf,
     BeamTerm,
@@ -150,3 +151,8 @@ def test_lenses_beside_one_another_are_corrected_together() -> None:
         rounding_nm = np.sqrt(found.figures.cd_error_rms_nm**2 - found.figures.continuous_rms_nm**2)
         # Uniform within 0.1 nm to both sides.
         assert rounding_nm == pytest.approx(0.1 / np.sqrt(3.0), rel=0.3)
+
+
+def test_shapes_of_several_lenses_are_refused(lens: PillarMap) -> None:
+    with pytest.raises(InputError, match=r"one lens, whose shapes are corrected.*got 2.*correct each alone"):
+        expose_lenses([ExposedLens(lens), ExposedLens(lens, number=2)], BEAM, correction="shape")
