@@ -112,7 +112,7 @@ def strips(corners_nm: FloatArray, step_nm: float) -> FloatArray:
     """
     start, end = corners_nm, np.roll(corners_nm, -1, axis=0)
     levels = np.unique(corners_nm[:, 1])
-    if ((start != end).all(axis=1)).any():
+    if math.isfinite(step_nm) and ((start != end).all(axis=1)).any():
         counts = np.maximum(1, np.ceil(np.diff(levels) / step_nm)).astype(int)
         ends = [
             np.linspace(low, high, n, endpoint=False) for low, high, n in zip(levels, levels[1:], counts, strict=False)
