@@ -131,9 +131,9 @@ class PillarCell:
         return width, self.length_nm if self.length_nm == self.period_nm[1] else self.length_nm + grown
 
     def exchanged(self) -> PillarCell | None:
-        """The cell with x and y exchanged, whose polarisations exchange with them; None where rows or light have one.
+        """The cell with x and y exchanged, and the two polarisations with them.
 
-        Rows of a hexagonal lattice run along x, and slanting light has an azimuth.
+        None for a hexagonal lattice, whose rows run along x, and for light at an angle, which has an azimuth.
         """
         if self.is_staggered or self.angle_deg != 0.0:
             return None

@@ -75,7 +75,10 @@ class CellResponse(Displayed):
     details: SolverDetails = SolverDetails()
 
     def exchanged(self) -> CellResponse:
-        """Response of :meth:`~metafab.cell.PillarCell.exchanged` of the cell, in no time; ValueError if it has none."""
+        """Response of the cell with x and y exchanged, with `seconds` 0; ValueError where there is no such cell.
+
+        See :meth:`metafab.cell.PillarCell.exchanged`.
+        """
         cell = self.cell.exchanged()
         if cell is None:
             raise ValueError(f"`cell`: expected one whose axes may be exchanged, got {self.cell}")

@@ -43,7 +43,7 @@ _TURNS = (1.85, 2.2, 2.6, 3.0)
 _NEARLY = 0.02
 #: Cosines (RCWA) and polynomial order (rings) of the search; t is off by some 1e-2. 4 and 27 ms a cell on one core.
 _COSINES, _ORDER = 6, 3
-#: Sizes along one or each of two axes for the search, and of two for the reach; of one, the reach takes every size.
+#: Sizes along each axis in the search, by the number of axes; and in the reach, which takes every size of one axis.
 _SIZES, _SIZES_OF_TWO = {1: 20, 2: 10}, 20
 #: Gap and smallest size over the period, and the largest of either that a rule needs, nm.
 _GAP, _FEATURE, _LARGEST_RULE_NM = 0.28, 0.22, 100.0

@@ -6,16 +6,20 @@ any amplitude between M and k cosines, the bound on the error of M is the larges
 ====================  ===========================  ==================================================================
 rule                  of                           bound
 ====================  ===========================  ==================================================================
-claims                cells like measured pillars  least of several max(g floor, share(k) d(M, k) ...)
+claims                cells like measured pillars  least of several max(g floor, share(k) d(M, k) ...);
+                                                   d(M, k) of the rung k before, where that is above 0.05
 floor                 other cells                  g floor(M): truncations that agree by accident
 slow convergence      other cells                  a d(M, k), k the rung before: errors as large as the last change
 typical convergence   other cells                  c e_M / e_j d(M, j), j < k, e the typical error: a small last change
 power law             crosses, hexagons, metals    3 d(M, k) / ((M / k)^p - 1) over all rungs
-far from convergence  all                          at least 1 where the last two are too large to mean anything
-shifted indices       8 to 10 cosines              10^-5 for each radian that the pillar adds: neighbours agree better
+far from convergence  other cells                  1.5 times the largest of the three above and at least 1, where it is
+                                                   above 0.15: no convergence yet
+shifted indices       8 to 10 cosines, rectangles  1.5 10^-5 for each radian that the pillar adds (7 10^-6 within the
+                                                   measured kind): neighbours agree better than they err
 coarse                under 2.5 cosines a          10^-3 for each radian: errors need not fall yet
-                      wavelength
-unresolved            under 1.5 a wavelength       1
+                      wavelength, rectangles
+unresolved            under 1.5 a wavelength, 2.5  1
+                      in a film or a cap
 ====================  ===========================  ==================================================================
 
 Claims were measured on 173 pillars of four materials, resonances among them, against references of 13 and 14 cosines,
