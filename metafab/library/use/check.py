@@ -18,7 +18,7 @@ from metafab.library.library import Library
 FINER = 0.1
 #: Least target error of Meep: finer grids would take it hours a size.
 MEEP_ERROR = 1e-2
-#: Bounds from here on exclude hardly any amplitude: half of a whole one.
+#: Bounds of library and solver that together exclude hardly any amplitude: half of a whole one.
 VACUOUS = 0.5
 #: Least amplitude for which a phase error counts.
 LEAST_AMPLITUDE = 0.1
@@ -72,9 +72,10 @@ class LibraryCheck:
             )
         if self.vacuous:
             sentences.append(
-                f"{self.vacuous} of {self.samples} samples have an error bound of {VACUOUS:g} or more (at most "
-                f"{self.max_stated_error:.2g}), which excludes hardly any amplitude: to hold it means nothing. The "
-                "errors found are worth what they are; a smaller `sweep.size_grid_nm` gives smaller bounds"
+                f"{self.vacuous} of {self.samples} samples have bounds that together are {VACUOUS:g} or more (library: "
+                f"at most {self.max_stated_error:.2g}, {self.against}: {self.max_solver_error:.2g}), which exclude "
+                "hardly any amplitude: to hold them means nothing. The errors found are worth what they are; a smaller "
+                "`sweep.size_grid_nm` lowers the library's bounds"
             )
         return sentences
 

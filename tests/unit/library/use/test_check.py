@@ -80,7 +80,11 @@ def test_a_bound_that_excludes_nothing_is_no_check(stored: Library) -> None:
     found = library.check(loose, against="meep", samples=9, solver=_Biased(0.004, 5e-3))
     assert (found.verdict, found.vacuous) == ("holds", 6)
     (sentence,) = found.warnings()
-    assert "6 of 9 samples have an error bound of 0.5 or more (at most 1.1)" in sentence
+    assert "6 of 9 samples have bounds that together are 0.5 or more (library: at most 1.1, meep: 0.005)" in sentence
+    # The bound that excludes nothing may be that of the solver alone.
+    unsure = library.check(stored, against="meep", samples=9, solver=_Biased(0.004, 0.6))
+    assert (unsure.verdict, unsure.vacuous) == ("no check", 9)
+    assert "(library: at most 0.001, meep: 0.6)" in unsure.warnings()[0]
     all_loose = replace(stored, error=np.full_like(stored.error, 1.1))
     assert library.check(all_loose, against="meep", samples=9, solver=_Biased(0.004, 5e-3)).verdict == "no check"
     # What is off by more than even such a bound fails.
