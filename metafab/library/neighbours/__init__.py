@@ -6,6 +6,9 @@
 - ``rows``        training rows, and their solution
 - ``training``    :func:`train`: a library in, its :class:`Neighbours` out
 - ``model``       :class:`Neighbours`: the chains of all directions and polarisations, with their errors
+- ``open_lines``  field along open chains, and its derivatives by the sizes
+- ``windows``     field of a window of a mask: chains along x and along y
+- ``choice``      sizes chosen for the field among neighbours
 - ``evaluation``  :func:`solve_supercell`: transmitted orders of rows and blocks
 - ``storage``     chains in the file of a library
 """
