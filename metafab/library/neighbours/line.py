@@ -197,6 +197,8 @@ def initial_model(shape: LineShape, along_nm: Span, across_nm: Span, seed: int) 
 
 #: Smallest eigenvalue of the hop's blocks over their norm; that of trained chains is 1e-4.
 _SINGULAR = 1e-12
+#: Largest deviation of the hop from pairs: rounding stays many orders below, eigenvectors of equal eigenvalues do not.
+_UNPAIRED = 1e-6
 
 
 def paired(model: LineModel) -> tuple[LineModel, ComplexArray]:
@@ -206,7 +208,8 @@ def paired(model: LineModel) -> tuple[LineModel, ComplexArray]:
         The chain, and elements of its hop, shape (n,), from odd mode k to even mode k; back it is the opposite number.
 
     Raises:
-        ValueError: the hop among the even modes, among the odd modes, or between them is singular.
+        ValueError: the hop among the even modes, among the odd modes, or between them is singular or has equal
+            eigenvalues.
     """
     even, hop = model.shape.even, model.hop_matrix
     bases = [_unit_basis(hop[:even, :even]), _unit_basis(hop[even:, even:])]
@@ -233,6 +236,10 @@ def paired(model: LineModel) -> tuple[LineModel, ComplexArray]:
         back_side=model.back_side @ change,
         hop=(change.T @ hop @ change)[model.shape.hop_pairs[:2]],
     )
+    k, exact = np.arange(pairing.size), np.eye(model.shape.modes, dtype=np.complex128)
+    exact[k, even + k], exact[even + k, k] = pairing, -pairing
+    if not np.abs(changed.hop_matrix - exact).max() <= _UNPAIRED:
+        raise ValueError("the hop of a chain has equal eigenvalues, whose modes cannot be paired")
     return changed, np.asarray(pairing)
 
 

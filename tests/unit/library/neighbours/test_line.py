@@ -50,3 +50,13 @@ def test_a_singular_hop_is_refused() -> None:
     model = initial_model(LineShape(2, 1, 2), SPAN, SPAN, 3)
     with pytest.raises(ValueError, match="singular"):
         paired(replace(model, hop=0.0 * model.hop))
+
+
+def test_a_hop_with_equal_eigenvalues_is_refused() -> None:
+    """Eigenvectors of equal eigenvalues need not be orthogonal; pairs would leave out what then couples the modes."""
+    model = initial_model(LineShape(3, 1, 2), SPAN, SPAN, 3)
+    rotation = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    hop = model.hop_matrix.copy()
+    hop[:3, :3] = rotation @ np.diag([1.0, 1.0, 2.0]) @ rotation.T
+    with pytest.raises(ValueError, match="equal eigenvalues"):
+        paired(replace(model, hop=hop[model.shape.hop_pairs[:2]]))
