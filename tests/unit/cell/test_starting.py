@@ -10,15 +10,15 @@ import pytest
 from metafab.cell import curved, pillar_cell
 from metafab.cell.open_orders import open_orders
 from metafab.cell.rcwa.jones import zero_order
-from metafab.cell.starting import starting_cell
+from metafab.cell.starting import StartingCell, starting_cell
 from metafab.core.conventions import covered_rad
 from metafab.core.errors import InputError
 from metafab.spec import UnitCell, load_unit_cell
 
 
-def _cell(tmp_path: Path, *arguments: object, **options: object) -> UnitCell:
+def _loaded(begun: StartingCell, tmp_path: Path) -> UnitCell:
     file = tmp_path / "cell.toml"
-    file.write_text(starting_cell(*arguments, **options).text, encoding="utf-8")  # type: ignore[arg-type]
+    file.write_text(begun.text, encoding="utf-8")
     return load_unit_cell(file)
 
 
@@ -27,18 +27,23 @@ def _cell(tmp_path: Path, *arguments: object, **options: object) -> UnitCell:
     [
         (532.0, "TiO2", 0.6),
         (1550.0, "Si", 0.9),
+        (940.0, "a-Si", 0.2),
         (633.0, "SiN", 0.95),
+        (460.0, "TiO2/Devore-o", 0.3),
     ],
 )
 def test_a_cell_keeps_its_light_and_samples_its_lens(
     wavelength_nm: float, material: str, sine: float, tmp_path: Path
 ) -> None:
-    cell = _cell(tmp_path, wavelength_nm, material, numerical_aperture=sine)
+    begun = starting_cell(wavelength_nm, material, numerical_aperture=sine)
+    cell = _loaded(begun, tmp_path)
     assert open_orders(cell) == ()
     assert 2.0 * sine * cell.cell.period_nm[0] < wavelength_nm
     low, high = cell.sweep.width_nm
     assert low >= 40.0
     assert cell.cell.period_nm[0] - high >= 50.0
+    # About a turn, at sizes that transmit half of the light or more.
+    assert begun.reach_rad > 4.4
 
 
 @pytest.mark.parametrize(
@@ -52,10 +57,8 @@ def test_finer_solutions_reach_the_phases_that_the_file_states(
 
     Of the crosses half are solved, so that a gap of the circle which one size closes may stay open.
     """
-    file = tmp_path / "cell.toml"
     begun = starting_cell(wavelength_nm, material, shape=shape)
-    file.write_text(begun.text, encoding="utf-8")
-    cell = load_unit_cell(file)
+    cell = _loaded(begun, tmp_path)
     low, high = cell.sweep.width_nm
     sizes_nm = np.arange(low, high + 1.0, cell.sweep.size_grid_nm)
     t = []
