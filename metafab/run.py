@@ -194,11 +194,15 @@ class _State:
         write_json(self.job.folder / STEPS_FILE, self.records)
 
     def is_current(self, step: Step) -> bool:
-        """Whether the record of a step is up to date."""
+        """Whether the record of a step is up to date; if so, the times of its files are those of now."""
         record = self.records.get(step.name)
         if record is None or record.summary is None or record.inputs_sha256 != self.fingerprint(step):
             return False
-        return record.files_unchanged(self.job.folder, self.log.modified_ns)
+        found = {name: path.stat().st_mtime_ns for name in record.outputs if (path := self.job.folder / name).is_file()}
+        if not record.files_unchanged(self.job.folder, self.log.modified_ns):
+            return False
+        self.log.modified_ns.update(found)
+        return True
 
     def fingerprint(self, step: Step) -> str:
         """Hash of all that a step depends on; the files of earlier steps count by content."""

@@ -181,6 +181,17 @@ def test_a_touched_file_with_the_same_bytes_still_stands(tmp_path: Path, small_d
     assert chain.done == []
 
 
+def test_times_of_files_that_are_known_by_content_are_those_of_now(
+    tmp_path: Path, small_design: Design, chain: Chain
+) -> None:
+    """Without its times, a run that skips every step would not know the files on which it rests."""
+    first = run(small_design, tmp_path, steps=chain.steps)
+    os.utime(tmp_path / "capture.txt", ns=(1, 1))
+    (tmp_path / "summary.json").unlink()
+    again = run(small_design, tmp_path, steps=chain.steps)
+    assert again.modified_ns == first.modified_ns | {"capture.txt": 1}
+
+
 def test_changed_code_makes_its_steps_stale(tmp_path: Path, small_design: Design, chain: Chain) -> None:
     run(small_design, tmp_path, steps=chain.steps)
     chain.done.clear()
