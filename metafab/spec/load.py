@@ -87,10 +87,18 @@ def files_of(path: Path, known: frozenset[Path] = frozenset()) -> frozenset[Path
     known |= {path.absolute()}
     for text in _texts(tomllib.loads(path.read_text(encoding="utf-8-sig"))):
         each = path.parent.absolute() / text
-        if len(text) > _LONGEST_NAME or each in known or not each.is_file():
+        if each in known or not _is_file(each):
             continue
         known = files_of(each, known) if each.suffix == ".toml" else known | {each}
     return known
+
+
+def _is_file(path: Path) -> bool:
+    """Whether a path is that of a file; a text too long for a path is none."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
 
 
 def _texts(value: Any) -> Iterator[str]:
@@ -103,8 +111,6 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 _FAULTY = object()
-#: Longest name of a file (characters).
-_LONGEST_NAME = 255
 
 #: Kinds of input file: tables that tell them apart, and the command that takes them.
 _KINDS = {

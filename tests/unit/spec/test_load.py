@@ -182,8 +182,9 @@ def test_the_files_of_a_design_are_all_that_it_names(tmp_path: Path) -> None:
     (tmp_path / "index.csv").symlink_to("index_2024.csv")
     (tmp_path / "cells" / "cell.toml").write_text('pillar = "../index.csv"\nsource = "lens.toml"\n')
     (tmp_path / "photo.png").write_bytes(b"")
-    objects = '[[scene.objects]]\ntexture_file = "photo.png"\nlabel = "no file"\n'
+    far = 40 * "cells/../" + "photo.png"
+    objects = f'[[scene.objects]]\ntexture_file = "photo.png"\nlabel = "no file"\nfar = "{far}"\n'
     design = tmp_path / "lens.toml"
     design.write_text(f'name = "lens.toml"\nnote = "{300 * "x"}"\nlibrary = "cells/cell.toml"\n{objects}')
-    named = ("lens.toml", "cells/cell.toml", "cells/../index.csv", "photo.png")
+    named = ("lens.toml", "cells/cell.toml", "cells/../index.csv", "photo.png", far)
     assert files_of(design) == {tmp_path / name for name in named}
