@@ -12,7 +12,7 @@ from typing import NoReturn
 from typer import Typer
 from typer.models import CommandInfo
 
-from metafab.cli.app import app
+from metafab.cli.app import HELP, app
 from metafab.cli.failures import FAILURES, is_debugging, message_of
 from metafab.core.errors import InputError, MetafabError
 from metafab.core.parallel.interrupts import InterruptedRunError, raised_interrupts
@@ -34,6 +34,7 @@ from metafab.cli.commands import service  # noqa: F401
 
 #: Variables that set the number of threads of the linear-algebra libraries.
 _ALGEBRA_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_HELP = HELP["help_option_names"]
 #: Options with a list of depths; the second may be followed by a file's name instead.
 _DEPTHS = ("--depths-m", "--depths")
 
@@ -66,9 +67,10 @@ def program(arguments: list[str]) -> Typer:
         return app
     rest = iter(arguments)
     words = (next(rest, "") and None if each == "--limit" else each for each in rest)
-    word = next((each for each in words if each and not each.startswith("-")), None)
+    # `--help` before the command asks for the list.
+    word = next((each for each in words if each and (each in _HELP or not each.startswith("-"))), None)
     part = copy(app)
-    if word is None:
+    if word is None or word in _HELP:
         part.registered_commands = [_listed(each) for each in app.registered_commands]
         return part
     part.registered_commands = [each for each in app.registered_commands if (each.name or "").split()[:1] == [word]]

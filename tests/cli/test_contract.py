@@ -37,6 +37,10 @@ def test_every_command_explains_itself(command: list[str], flag: str) -> None:
     assert answer.stdout.startswith("Usage: ")
 
 
+def test_help_before_a_command_lists_all_commands() -> None:
+    assert metafab("--help", "run").stdout == metafab("--help").stdout
+
+
 def test_cell_answers_with_the_contract_keys() -> None:
     answer = metafab("cell", UNIT_CELL, "--width-nm", "150", "--length-nm", "210", "--target-error", "1e-3", "--json")
     assert answer.code == 0, answer.stderr
