@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import shutil
 import signal
@@ -220,6 +221,9 @@ def test_a_run_is_told_in_a_dozen_lines_and_names_its_report(tmp_path: Path) -> 
     assert "depth error" not in lines  # nothing was decoded
     assert len(lines) <= 16 and all("[" not in text and "{" not in text for text in lines.values())
     assert headlines(run_summary(), tmp_path)["depth error"].startswith("0.21 %")
+    assert summary.library is not None
+    unstated = replace(summary, layout=None, library=replace(summary.library, max_error=math.nan))
+    assert "library error" not in headlines(unstated, tmp_path)
 
 
 def test_only_a_lobe_that_turns_has_a_rotation(main_job: MainJob, tmp_path: Path) -> None:

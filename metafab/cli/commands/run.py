@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -192,4 +193,4 @@ def _library_error(library: LibraryFigures, layout: LayoutFigures | None) -> dic
     if layout is not None and layout.library_error is not None:
         worst = f"{layout.worst_library_error:.2g} at worst"
         return {"library error": f"{layout.library_error:.2g} of complex t (rms over the pillars), {worst}"}
-    return {"library error": f"{library.max_error:.2g} of complex t at most"}
+    return {} if isnan(library.max_error) else {"library error": f"{library.max_error:.2g} of complex t at most"}
