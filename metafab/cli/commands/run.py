@@ -15,6 +15,7 @@ from metafab.cli.app import Cluster, DesignFile, Json, Output, Workers, app
 from metafab.cli.console import announce, coverage_warning, exit_on_violations, open_work, show
 
 if TYPE_CHECKING:
+    from metafab.core.storage.rerun import Marks
     from metafab.spec import Design
     from metafab.steps import RunSummary
     from metafab.steps.layout import LayoutFigures
@@ -103,6 +104,7 @@ def run_command(
 
     began_ns, code = time.time_ns(), code_mark()
     spec = load_design(design)
+    inputs = _input_marks(design, spec) if skip and code else None
     folder = output or Path("runs") / (spec.name if skip else f"{spec.name}_no_skip")
     with limited(**spec.stated_limits), open_work(workers, cluster) as (work, _):
         summary = run(spec, folder, work=work, skips=skip, say=announce)
@@ -110,40 +112,53 @@ def run_command(
     for figures in (summary.layout, summary.psf, summary.lights):
         announcements += [] if figures is None else figures.warnings()
     announce(announcements)
-    if skip:
-        _keep_answer(design, spec, folder, summary, announcements, code, began_ns)
+    if inputs is not None:
+        _keep_answer(design, folder, summary, announcements, code, began_ns, inputs)
     show(summary.table() if json_ else headlines(summary, folder), json_)
     exit_on_violations(summary.violations)
 
 
+def _input_marks(path: Path, design: Design) -> Marks | None:
+    """Marks of the input files of a design; None if one cannot be read."""
+    from metafab.core.storage.provenance import named_files
+    from metafab.core.storage.rerun import marks
+    from metafab.spec.load import files_of
+
+    try:
+        return marks(sorted({str(each) for each in (*files_of(path), *named_files(design))}))
+    except (OSError, ValueError):
+        return None
+
+
 def _keep_answer(
     path: Path,
-    design: Design,
     folder: Path,
     summary: RunSummary,
     announcements: list[str],
     code: str,
     began_ns: int,
+    inputs: Marks,
 ) -> None:
-    """Keep what the next run prints if nothing changes, unless a file changed during this one."""
-    from metafab.core.storage.provenance import named_files
-    from metafab.core.storage.rerun import Rerun, all_older, folder_marks, marks
-    from metafab.run import skipping_all
-    from metafab.spec.load import files_of
+    """Keep what the next run prints if nothing changes, unless a file changed during this one.
 
-    again = skipping_all(summary)
+    Marks of ``inputs`` are those before the steps: a clock that steps back hides no change.
+    """
+    from metafab.core.storage.rerun import Rerun, all_older, folder_marks, marks
+    from metafab.run import STEPS, skipping_all
+
+    again, place = skipping_all(summary), folder.resolve()
     try:
-        inputs = {str(each) for each in (*files_of(path), *named_files(design))}
-        made = {str((folder / name).resolve()): time_ns for name, time_ns in summary.modified_ns.items()}
-        files, outside = folder_marks(folder), marks(sorted(inputs | made.keys()))
-        if not all_older(inputs - made.keys(), began_ns) or any(outside[name][1] != made[name] for name in made):
+        made = {str((place / name).resolve()): time_ns for name, time_ns in summary.modified_ns.items()}
+        read = {str(each) for step in STEPS for name in step.reads if (each := place / name).is_file()}
+        files, outside = folder_marks(folder), marks(sorted(inputs.keys() | made.keys()))
+        is_unchanged = all(outside[name][1] == time_ns for name, time_ns in made.items())
+        is_unchanged = is_unchanged and all(outside[name] == inputs[name] for name in inputs.keys() - made.keys())
+        if not is_unchanged or not all_older((inputs.keys() | read) - made.keys(), began_ns):
             return
-        within = f"{folder.resolve()}{os.sep}"
-        kept = {name: mark for name, mark in outside.items() if not name.startswith(within)}
-        texts = (design.name, str(path.absolute()), code)
-        Rerun(*texts, kept, files, again.table(), headlines(again, folder), announcements, again.violations).keep(
-            folder
-        )
+        kept = {name: mark for name, mark in outside.items() if not name.startswith(f"{place}{os.sep}")}
+        texts = (summary.name, str(path.absolute()), str(place), code)
+        lines = headlines(again, folder)
+        Rerun(*texts, kept, files, again.table(), lines, tuple(announcements), again.violations).keep(folder)
     except (OSError, ValueError):
         return  # A file is gone, or the folder is read-only: the next run looks for itself.
 

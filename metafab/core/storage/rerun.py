@@ -1,9 +1,9 @@
 """The answer of a run, given again while no file that it rests on has changed.
 
-``.rerun.json`` in the run folder holds what the command would print, and marks (size and time of the last change) of
-the package's source, the input files and all files of the folder. Whatever differs, down to a file that was added,
-leaves the answer to the pipeline, which compares contents. This module needs the standard library alone: validating a
-design takes longer than the answer.
+``.rerun.json`` in the run folder holds what the command would print, and marks of the package's source, the input files
+and all files of the folder: size, and times of the last change of content and of name or rights. Whatever differs, down
+to a file that was added, leaves the answer to the pipeline, which compares contents. This module and its imports need
+the standard library alone: validating a design takes longer than the answer.
 """
 
 from __future__ import annotations
@@ -14,20 +14,25 @@ import os
 import re
 import sys
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from hashlib import sha256
+from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias
+
+from metafab.core.storage.tables import DAMAGED, typed
 
 _RERUN_FILE, _SUMMARY_FILE = ".rerun.json", "summary.json"
 #: Top-level name of a design, and size of a file (bytes) up to which it is looked for.
 _NAME, _LARGEST = re.compile(r"""^name\s*=\s*["']([^"'\\/]+)["']""", re.MULTILINE), 1 << 16
 _PACKAGE = Path(__file__).parents[2]
 
-#: Longest tick of a file system's clock, ns.
-_TICK_NS = 50_000_000
+#: Longest tick of a file system's clock, that of FAT, ns.
+_TICK_NS = 2_000_000_000
+#: Files of a run folder, at most; more are not the run's own, and looking at them takes longer than the pipeline.
+_MOST_FILES = 10_000
 
-#: Size in bytes and time of the last change in ns, by path.
+#: Size in bytes, and times of the last change of content and of name or rights in ns (mtime and ctime), by path.
 Marks: TypeAlias = dict[str, list[int]]
 
 
@@ -37,12 +42,13 @@ class Rerun:
 
     name: str  #: Name of the design.
     design: str  #: Absolute path of the design file.
+    folder: str  #: Absolute path of the run folder; its files name others by relative paths.
     code: str  #: :func:`code_mark` when the run began.
     inputs: Marks  #: Files outside the run folder, by absolute path; a link counts by the file it leads to.
     files: Marks  #: Files of the run folder, by relative path.
     summary: Any  #: Content of ``summary.json`` after a run that skips every step.
     headlines: dict[str, str]  #: Text by label; the paths of the run folder are those of then.
-    announcements: list[str]  #: Sentences for stderr.
+    announcements: tuple[str, ...]  #: Sentences for stderr.
     violations: int  #: Places where design rules are violated.
 
     def keep(self, folder: Path) -> None:
@@ -66,14 +72,14 @@ def find_rerun(design: Path, output: Path | None, code: str) -> tuple[Rerun, Pat
             folder = Path("runs") / name[1]
         else:
             folder = output
-        table = json.loads((folder / _RERUN_FILE).read_text(encoding="utf-8"))
-        known = Rerun(**{item.name: table[item.name] for item in fields(Rerun)})
-        is_known = (known.design, known.code) == (str(design.absolute()), code)
+        known = typed(Rerun, json.loads((folder / _RERUN_FILE).read_text(encoding="utf-8")))
+        stated = (str(design.absolute()), str(folder.resolve()), code)
+        is_known = (known.design, known.folder, known.code) == stated
         is_known = is_known and (output is not None or known.name == folder.name)
         if not is_known or marks(known.inputs) != known.inputs or folder_marks(folder) != known.files:
             return None
         _replace(folder / _SUMMARY_FILE, known.summary)
-    except (OSError, ValueError, TypeError, KeyError):
+    except (OSError, *DAMAGED):
         return None
     return known, folder
 
@@ -83,13 +89,18 @@ def marks(paths: Iterable[Path | str]) -> Marks:
     found = {}
     for path in paths:
         state = Path(path).stat()
-        found[str(path)] = [state.st_size, state.st_mtime_ns]
+        found[str(path)] = [state.st_size, state.st_mtime_ns, state.st_ctime_ns]
     return found
 
 
 def folder_marks(folder: Path) -> Marks:
-    """Marks of all files under a folder but those that a rerun writes, by relative path."""
-    found = marks(_files(str(folder)))
+    """Marks of all files under a run folder but those that a rerun writes, by relative path.
+
+    OSError if there are more than any run writes.
+    """
+    found = marks(islice(_files(str(folder)), _MOST_FILES + 1))
+    if len(found) > _MOST_FILES:
+        raise OSError(f"more than {_MOST_FILES} files in {folder}")
     return {
         name: mark
         for path, mark in found.items()
@@ -103,14 +114,20 @@ def all_older(paths: Iterable[Path | str], began_ns: int) -> bool:
     return all(max(state.st_mtime_ns, state.st_ctime_ns) < began_ns - _TICK_NS for state in states)
 
 
-def code_mark() -> str:
-    """Hash of the sizes and times of the package's files, of the interpreter and of the installed packages' folder."""
+def code_mark(package: Path = _PACKAGE) -> str:
+    """Hash of the sizes and times of the package's files, of the interpreter and of the installed packages' folder.
+
+    Empty where a file cannot be read, such as an editor's link to nothing.
+    """
     digest = sha256(sys.version.encode())
-    for path, mark in sorted(marks(_files(str(_PACKAGE))).items()):
-        digest.update(f"{path} {mark}".encode())
-    numpy = importlib.util.find_spec("numpy")
-    if numpy is not None and numpy.origin is not None:
-        digest.update(str(Path(numpy.origin).parents[1].stat().st_mtime_ns).encode())
+    try:
+        for path, mark in sorted(marks(_files(str(package))).items()):
+            digest.update(f"{path} {mark}".encode())
+        numpy = importlib.util.find_spec("numpy")
+        if numpy is not None and numpy.origin is not None:
+            digest.update(str(Path(numpy.origin).parents[1].stat().st_mtime_ns).encode())
+    except OSError:
+        return ""
     return digest.hexdigest()
 
 
@@ -128,5 +145,8 @@ def _files(folder: str) -> Iterator[str]:
 def _replace(path: Path, table: Any) -> None:
     """Write JSON beside ``path``, then rename it."""
     part = path.with_name(f".{path.name}.{os.getpid()}-000000.part")
-    part.write_text(json.dumps(table, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
-    part.replace(path)
+    try:
+        part.write_text(json.dumps(table, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
