@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from docutils import nodes
@@ -44,11 +45,15 @@ class Device(Directive):
 
 
 def make(kind: str, folder: Path) -> dict[str, Any]:
-    """Write a design of the kind, unless it is there, run it up to its light, and return its summary."""
+    """Write today's design of the kind, run it up to its light, and return its summary."""
     folder.mkdir(parents=True, exist_ok=True)
     design = folder / f"{kind}.toml"
-    if not design.is_file():
-        write_new(kind, kind, folder)
+    with TemporaryDirectory(dir=folder.parent) as fresh:  # As deep as the folder: the paths of the design are relative.
+        write_new(kind, kind, Path(fresh))
+        for file in Path(fresh).iterdir():
+            kept = folder / file.name
+            if not kept.is_file() or kept.read_bytes() != file.read_bytes():
+                file.replace(kept)
     steps = [step for step in RESULT_STEPS if step.name not in NOT_SHOWN]
     run(load_design(design), folder / "run", steps=steps)
     draw(open_run(folder / "run"), only=PICTURES)

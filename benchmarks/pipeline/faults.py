@@ -31,7 +31,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -207,42 +207,55 @@ def _cluster() -> Iterator[Case]:
         whole = folder / "whole.h5"
         _undisturbed("library", "build", cell, "-o", str(whole))
         for number, (victim, how) in enumerate((("scheduler", "KILL"), ("scheduler", "TERM"), ("worker", "KILL"))):
-            out, address_file = folder / f"{number}.h5", folder / f"{number}.json"
+            out, at = folder / f"{number}.h5", folder / f"{number}.json"
             build = ["library", "build", cell, "-o", str(out)]
-            at = ["--scheduler-file", str(address_file), "--no-dashboard"]
-            scheduler = _dask("scheduler", "--host", "127.0.0.1", "--port", "0", *at)
-            worker = _dask("worker", "--nthreads", "1", "--no-nanny", *at)
-            while not address_file.is_file():
-                time.sleep(0.1)
-            process = _started(*build, "--cluster", json.loads(address_file.read_text(encoding="utf-8"))["address"])
-            while process.poll() is None and not list(folder.glob(f"{out.stem}.*.partial")):
-                time.sleep(0.1)
-            start = time.perf_counter()
-            os.kill((scheduler if victim == "scheduler" else worker).pid, getattr(signal, f"SIG{how}"))
-            if victim == "scheduler":
-                done = _finished(process)
-                seconds, faults = time.perf_counter() - start, _ended(done, 1)
-                faults += [] if seconds < SCHEDULER_S else [f"exit after {seconds:.0f} s"]
-                faults += _ended(_metafab(*build), 0)
-            else:
-                assert process.stderr is not None
-                said = next((line for line in process.stderr if "worker" in line), "")
-                seconds = time.perf_counter() - start
-                faults = [] if said and seconds < WORKERS_S else [f"after {seconds:.0f} s: {said.strip()}"]
-                replacement = _dask("worker", "--nthreads", "1", "--no-nanny", *at)
-                faults += _ended(_finished(process), 0)
-                replacement.kill()
+            with _dask("scheduler", at, "--host", "127.0.0.1", "--port", "0") as scheduler, _one_worker(at) as worker:
+                process = _started(*build, "--cluster", _address(at, scheduler))
+                while process.poll() is None and not list(folder.glob(f"{out.stem}.*.partial")):
+                    time.sleep(0.1)
+                start = time.perf_counter()
+                os.kill((scheduler if victim == "scheduler" else worker).pid, getattr(signal, f"SIG{how}"))
+                if victim == "scheduler":
+                    done = _finished(process)
+                    seconds, faults = time.perf_counter() - start, _ended(done, 1)
+                    faults += [] if seconds < SCHEDULER_S else [f"exit after {seconds:.0f} s"]
+                    faults += _ended(_metafab(*build), 0)
+                else:
+                    assert process.stderr is not None
+                    said = next((line for line in process.stderr if "has had no worker" in line), "")
+                    seconds = time.perf_counter() - start
+                    faults = [] if said and seconds < WORKERS_S else [f"after {seconds:.0f} s: {said.strip()}"]
+                    with _one_worker(at):
+                        faults += _ended(_finished(process), 0)
             faults += [] if out.is_file() and out.read_bytes() == whole.read_bytes() else ["another library"]
-            for each in (scheduler, worker):
-                each.kill()
             yield Case(f"{victim} of the cluster, SIG{how}", seconds, tuple(faults))
 
 
-def _dask(what: str, *options: str) -> subprocess.Popen[bytes]:
-    """Start the scheduler or a worker of a Dask cluster."""
-    command = [sys.executable, "-m", f"distributed.cli.dask_{what}", *options]
+def _address(file: Path, scheduler: subprocess.Popen[bytes]) -> str:
+    """Address that a scheduler writes into its file; RuntimeError if it ends before."""
+    while scheduler.poll() is None:
+        with suppress(OSError, ValueError):
+            return str(json.loads(file.read_text(encoding="utf-8"))["address"])
+        time.sleep(0.1)
+    raise RuntimeError(f"the Dask scheduler ended with {scheduler.returncode}")
+
+
+def _one_worker(file: Path) -> AbstractContextManager[subprocess.Popen[bytes]]:
+    return _dask("worker", file, "--nthreads", "1", "--no-nanny")
+
+
+@contextmanager
+def _dask(what: str, file: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Start the scheduler or a worker of a Dask cluster, which finds its like by a file, and end it in the end."""
+    arguments = ["--scheduler-file", str(file), "--no-dashboard", *options]
+    command = [sys.executable, "-m", f"distributed.cli.dask_{what}", *arguments]
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
 
 
 def _second_runs(project: Project, count: int) -> Iterator[Case]:

@@ -24,6 +24,9 @@ _LOOK_EVERY_S = 2.0
 #: Longest time for taking leave of a scheduler that does not answer (s).
 _CLOSE_S = 3.0
 
+#: Loggers that report a lost connection with a traceback, Dask's client first.
+_THEIR_LOGS = ("distributed.client", "distributed.core", "distributed.utils", "tornado.application", "asyncio")
+
 _log = logging.getLogger(__name__)
 
 
@@ -82,8 +85,10 @@ def open_cluster(address: str, progress: Progress = silent) -> Iterator[ClusterE
         expected = "the address of a running Dask scheduler"
         remedy = "start one with `dask scheduler` and give the address that it prints"
         raise InputError.single("--cluster", "address", expected, f"{address} ({error})", remedy) from error
-    their_log = logging.getLogger("distributed.client")
-    level, ended = their_log.level, threading.Event()
+    their_logs = [logging.getLogger(name) for name in _THEIR_LOGS]
+    level, ended = their_logs[0].level, threading.Event()
+    for log in their_logs:
+        log.addFilter(_is_no_lost_connection)
     threading.Thread(target=_watch_workers, args=(client, address, progress, ended), daemon=True).start()
     try:
         yield ClusterExecutor(client)
@@ -91,13 +96,21 @@ def open_cluster(address: str, progress: Progress = silent) -> Iterator[ClusterE
         # Dask cancels all futures as soon as the connection to the scheduler closes, and then refuses calls.
         if client.status == "running":
             raise
-        their_log.setLevel(logging.CRITICAL)  # Dask logs the traceback of its last attempt to connect again.
+        their_logs[0].setLevel(logging.CRITICAL)  # Of its last attempt to connect again.
         raise ClusterLostError(address) from error
     finally:
         ended.set()
         with suppress(TimeoutError, OSError):
             client.close(timeout=_CLOSE_S)
-        their_log.setLevel(level)
+        for log in their_logs:
+            log.removeFilter(_is_no_lost_connection)
+        their_logs[0].setLevel(level)
+
+
+def _is_no_lost_connection(record: logging.LogRecord) -> bool:
+    """Whether a message of Dask is about something else than the connection, whose loss the command tells itself."""
+    error = record.exc_info[1] if record.exc_info else None
+    return not isinstance(error, OSError)
 
 
 def _watch_workers(client: Any, address: str, progress: Progress, ended: threading.Event) -> None:

@@ -106,3 +106,14 @@ def test_work_waits_for_a_worker_and_says_so(
     assert "dask worker tcp://127.0.0.1:" in caplog.text
     assert "has workers again" in caplog.text
     assert steps[-1] == ("waiting for a worker", 1.0, 1.0)
+
+
+def test_dasks_tracebacks_of_a_lost_connection_are_dropped(servers: Servers, caplog: pytest.LogCaptureFixture) -> None:
+    """The command tells the loss in a sentence; other tracebacks are logged, and those after its work."""
+    theirs = logging.getLogger("distributed.core")
+    with open_executor(cluster=servers.address):
+        for fault in (ConnectionResetError("lost"), ValueError("kept")):
+            theirs.error("in a handler", exc_info=fault)
+    theirs.error("afterwards", exc_info=ConnectionResetError("told"))
+    said = [str(record.exc_info[1]) for record in caplog.records if record.name == theirs.name and record.exc_info]
+    assert said == ["kept", "told"]
