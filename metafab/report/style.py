@@ -107,6 +107,13 @@ def show_map(axes: Axes, values: ArrayLike, extent: Extent, **options: Any) -> A
     return axes.imshow(np.ma.masked_invalid(values), extent=extent, **options)
 
 
+def map_with_bar(
+    axes: Axes, values: ArrayLike, extent: Extent, label: str, ticks: Ticks = NO_TICKS, **options: Any
+) -> None:
+    """Draw an array, shape (n_y, n_x), as :func:`show_map` does, and the :func:`colour_bar` of its values."""
+    colour_bar(show_map(axes, values, extent, **options), axes, label, ticks)
+
+
 def colour_bar(mappable: ScalarMappable, axes: Axes, label: str, ticks: Ticks = NO_TICKS) -> Axes:
     """Draw a colour bar to the right of a picture, with one width on all figures; ``label`` is quantity and unit.
 
@@ -186,11 +193,10 @@ def picture(
     *,
     bar: str = "#ffffff",
     title_ink: str = INK,
-    ticks: Ticks = NO_TICKS,
     **options: Any,
 ) -> Axes:
     """Draw an array, shape (n_y, n_x), as a picture with a colour bar and a scale bar of the colour ``bar``."""
-    colour_bar(show_map(axes, values, extent_um, **options), axes, label, ticks)
+    map_with_bar(axes, values, extent_um, label, **options)
     bare(axes, title, title_ink)
     scale_bar(axes, extent_um, bar)
     return axes

@@ -96,7 +96,7 @@ def open_cluster(address: str, progress: Progress = silent) -> Iterator[ClusterE
         # Dask cancels all futures as soon as the connection to the scheduler closes, and then refuses calls.
         if client.status == "running":
             raise
-        their_logs[0].setLevel(logging.CRITICAL)  # Of its last attempt to connect again.
+        their_logs[0].setLevel(logging.CRITICAL)  # Dask's client says as an error that it cannot connect again.
         raise ClusterLostError(address) from error
     finally:
         ended.set()

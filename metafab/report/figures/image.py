@@ -19,17 +19,16 @@ from metafab.report.style import (
     DEPTH_MAP,
     IDEAL,
     INK,
-    NO_TICKS,
     POLARISATION_COLOUR,
     SHARE_MAP,
     X_COLOUR,
     Extent,
-    Ticks,
     bare,
     colour_bar,
     depth_unit,
     dress,
     finished,
+    map_with_bar,
     show_map,
 )
 
@@ -118,7 +117,7 @@ def depth_view(view: DepthView) -> Figure:
         row, column = divmod(index, 3)
         bottom_in = 0.1 + (1 - row) * (map_in + 0.5)
         axes = figure.add_axes((0.01 + 0.265 * column, bottom_in / tall_in, 2.95 / 15.0, map_in / tall_in))
-        colour_bar(show_map(axes, values, extent, **options), axes, label)
+        map_with_bar(axes, values, extent, label, **options)
         bare(axes, title)
     axes = figure.add_axes((0.85, 0.5 - 1.0 / tall_in, 0.14, 2.1 / tall_in))
     axes.plot((0.0, 1.0), (0.0, 1.0), color=IDEAL, linewidth=3.0, alpha=0.5)
@@ -150,12 +149,11 @@ def _decoded_map(
     title: str,
     *,
     ink: str = INK,
-    ticks: Ticks = NO_TICKS,
     **options: Any,
 ) -> Axes:
     """Draw a value of each pixel at its place on the sensor."""
     extent = extent_um(values.shape, decoded.origin_um, decoded.pixel_um)
-    colour_bar(show_map(axes, values, extent, **options), axes, label, ticks)
+    map_with_bar(axes, values, extent, label, **options)
     axes.locator_params(axis="x", nbins=5)  # Coordinates of four digits need room.
     return dress(axes, "x / µm", "y / µm", title, ink)
 

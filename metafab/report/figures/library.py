@@ -17,17 +17,15 @@ from metafab.library.use.quality import CD_BIAS_NM, quality
 from metafab.report.style import (
     ERROR_MAP,
     INK,
-    NO_TICKS,
     PHASE_MAP,
     POLARISATION_COLOUR,
     SHARE_MAP,
     X_COLOUR,
     Extent,
-    Ticks,
     colour_bar,
     dress,
     finished,
-    show_map,
+    map_with_bar,
 )
 
 _PI_TICKS = ((-math.pi, -math.pi / 2, 0.0, math.pi / 2, math.pi), ("−π", "−π/2", "0", "π/2", "π"))
@@ -121,13 +119,11 @@ def _size_map(
     label: str,
     title: str,
     ink: str = INK,
-    *,
-    ticks: Ticks = NO_TICKS,
     **options: Any,
 ) -> Axes:
     """Draw a quantity over width and length; that of a library of circles over the diameter."""
     if not library.known.all():
         axes.plot(library.width_nm, values.diagonal(), ".-", color=INK, lw=1.0, ms=4)
         return dress(axes, "diameter / nm", label, title)
-    colour_bar(show_map(axes, values, _extent(library), **options), axes, label, ticks)
+    map_with_bar(axes, values, _extent(library), label, **options)
     return dress(axes, "width W / nm", "length L / nm", title, ink)

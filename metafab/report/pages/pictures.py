@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -21,7 +22,7 @@ from metafab.phase.studies.propose import Proposal
 from metafab.report.figures import library as maps
 from metafab.report.figures import study
 from metafab.report.render import save_png
-from metafab.report.style import CONTRAST_MAP, DEPTH_MAP, bare, colour_bar, depth_unit, show_map
+from metafab.report.style import CONTRAST_MAP, DEPTH_MAP, bare, depth_unit, map_with_bar, show_map
 
 
 def library_figure(library: Library, path: Path) -> Path:
@@ -71,19 +72,19 @@ def stokes_figure(frame: StokesFrame, image: StokesImage, path: Path) -> Path:
         show_map(axes, raw, extent, cmap="gray", vmin=0.0, vmax=brightest)
     s0 = image.stokes[0]
     bare(decoded_axes[0], "S0")
-    colour_bar(show_map(decoded_axes[0], s0, extent, cmap="gray", vmin=0.0), decoded_axes[0], "electrons")
+    map_with_bar(decoded_axes[0], s0, extent, "electrons", cmap="gray", vmin=0.0)
     lit = s0 > 0.2 * np.percentile(s0, 99.0)
     for index in (1, 2, 3):
         axes = decoded_axes[index]
         bare(axes, f"S{index} / S0")
         share = np.where(lit, image.stokes[index] / np.where(lit, s0, 1.0), np.nan)
-        colour_bar(show_map(axes, share, extent, cmap=CONTRAST_MAP, vmin=-1.0, vmax=1.0), axes, "")
+        map_with_bar(axes, share, extent, "", cmap=CONTRAST_MAP, vmin=-1.0, vmax=1.0)
     scale, unit = depth_unit(image.depth_m)
     depths = (("Depth", scale * image.depth_m), ("True depth", scale * frame.depth_m))
     # One scale for both: equal colours are equal depths.
     known = np.concatenate([depth[np.isfinite(depth)] for _, depth in depths])
-    limits = {"vmin": float(known.min()), "vmax": float(known.max())} if known.size else {}
+    limits: dict[str, Any] = {"vmin": float(known.min()), "vmax": float(known.max())} if known.size else {}
     for axes, (title, depth) in zip(decoded_axes[4:], depths, strict=True):
         bare(axes, title)
-        colour_bar(show_map(axes, depth, extent, cmap=DEPTH_MAP, **limits), axes, f"depth / {unit}")
+        map_with_bar(axes, depth, extent, f"depth / {unit}", cmap=DEPTH_MAP, **limits)
     return save_png(figure, path)
