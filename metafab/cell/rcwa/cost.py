@@ -61,7 +61,7 @@ def seconds_estimate(target_error: float, cell: PillarCell = _SAMPLE, *, five_co
     numerics = CellNumerics(target_error)
     steps = slicing(cell, numerics).steps
     falls = convergence(cell)
-    rungs = ladder(numerics, falls)[: 8 if falls.law else 2 if falls.is_measured else 4]
+    rungs = ladder(numerics, falls)[: 9 if falls.law else 2 if falls.is_measured else 4]
     return sum(seconds_of_truncation(orders, cell, steps, five_cosines_s=five_cosines_s) for orders in rungs)
 
 
