@@ -135,14 +135,19 @@ def estimate_cost(unit_cell: UnitCell, *, target_error: float | None = None) -> 
     return BuildCost((few, many), (least, most))
 
 
-def solver_target(unit_cell: UnitCell, first_round: int = FIRST_ROUND) -> float:
+def solver_target(unit_cell: UnitCell, *, every_size: bool = False) -> float:
     """Target error of the solver at the sizes of the grid; smaller where RCWA's answers are fitted by models.
 
-    The first ``first_round`` sizes are solved at once; a grid that holds no more needs no model.
+    Round pillars, and grids of no more sizes than the first round, need no model: the solver gets its share as well,
+    unless models of corners are fitted. ``every_size`` is :attr:`BuildNumerics.every_size`, a reference for models.
     """
-    share, grid = SOLVER_SHARE * unit_cell.sweep.target_error, SizeGrid.of(unit_cell)
-    is_fitted = unit_cell.solver.name == "rcwa" and not grid.diagonal and grid.distinct.size > first_round
-    return min(share, FITTED_SOLVER_ERROR) if is_fitted else share
+    target, grid = unit_cell.sweep.target_error, SizeGrid.of(unit_cell)
+    share = SOLVER_SHARE * target
+    if every_size:
+        return share
+    if grid.diagonal or grid.distinct.size <= FIRST_ROUND:
+        return share if CornerBox.of(unit_cell) is not None else share + MODEL_SHARE * target
+    return min(share, FITTED_SOLVER_ERROR) if unit_cell.solver.name == "rcwa" else share
 
 
 def with_target(unit_cell: UnitCell, target_error: float | None) -> UnitCell:
@@ -171,7 +176,7 @@ def _build(
     with threadpool_limits(1):
         cell_numerics = CellNumerics(SOLVER_SHARE * target, unit_cell.solver.name)
         first_round = grid.size if numerics.every_size else FIRST_ROUND
-        size_numerics = replace(cell_numerics, target_error=solver_target(unit_cell, first_round))
+        size_numerics = replace(cell_numerics, target_error=solver_target(unit_cell, every_size=numerics.every_size))
         sizes = PointSolver(partial(grid.cell, unit_cell), size_numerics, solver, executor, record, progress)
         sampling = sample_grid(grid, sizes, tolerance, first_round=first_round)
         sampler = OffGridSampler(unit_cell, sampling, sizes, numerics.off_grid)

@@ -136,16 +136,19 @@ def test_what_a_build_takes_is_foreseen(unit_cell: UnitCell) -> None:
     assert library.estimate_cost(replace(unit_cell, solver=replace(unit_cell.solver, name="meep"))) is None
 
 
-def test_the_solver_is_held_to_more_than_a_loose_target_only_where_models_are_fitted(unit_cell: UnitCell) -> None:
-    """A fine grid of rectangles by RCWA; no model serves circles, few sizes, sizes that are all solved, or Meep."""
+def test_the_solver_gets_the_share_of_a_model_only_where_there_is_none(unit_cell: UnitCell) -> None:
+    """Models need answers of more than a loose target; circles, few sizes and sizes that are all solved need none."""
     assert solver_target(unit_cell) == 1e-3
     loose = with_target(unit_cell, 0.1)
     assert solver_target(loose) == 2e-3
-    few = replace(loose.sweep, size_grid_nm=50.0)
+    assert solver_target(replace(loose, solver=replace(loose.solver, name="meep"))) == 0.05
+    few = replace(loose, sweep=replace(loose.sweep, size_grid_nm=50.0))
     circles = replace(loose, cell=replace(loose.cell, shape="circle"))
-    for cell in (replace(loose, sweep=few), circles, replace(loose, solver=replace(loose.solver, name="meep"))):
-        assert solver_target(cell) == 0.05
-    assert solver_target(loose, first_round=76 * 76) == 0.05
+    for cell in (few, circles):
+        assert solver_target(cell) == pytest.approx(0.09)
+        swept = replace(cell, sweep=replace(cell.sweep, axes=Axes(wavelength_nm=(780.0, 820.0))))
+        assert solver_target(swept) == 0.05, "a model of corners is fitted to the same answers"
+    assert solver_target(loose, every_size=True) == 0.05
 
 
 def test_a_loose_library_of_the_real_solver_takes_fewer_sizes_than_a_tight_one(unit_cell: UnitCell) -> None:
