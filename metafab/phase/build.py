@@ -38,8 +38,6 @@ _BLIND_DEPTHS = 10
 _SEARCH_SAMPLES = 64
 #: Places along a side of the aperture at which the mean slope of a target is taken.
 _SLOPE_PLACES = 128
-#: Terms of the user's own, whose light may go anywhere.
-_OWN_PHASES = (spec.UserArray, spec.Zernike, spec.Zernikes)
 #: The direction that was found last; each step of a run needs it.
 _DIRECTIONS: Latest[tuple[tuple[float, float], tuple[float, float]]] = Latest()
 
@@ -217,7 +215,7 @@ def mean_direction(design: Design) -> tuple[tuple[float, float], tuple[float, fl
     lenses, helices and holograms are centred on it. The slope is the mean over the aperture of the wrapped difference
     between neighbouring sites.
     """
-    own = tuple(term for term in design.phase if isinstance(term, _OWN_PHASES))
+    own = tuple(term for term in design.phase if term.is_own)
     if not own:
         return (0.0, 0.0), (0.0, 0.0)
     files = [term.file for term in own if isinstance(term, spec.UserArray) and term.file.is_file()]

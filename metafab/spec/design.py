@@ -31,15 +31,12 @@ from metafab.spec.light import Light
 from metafab.spec.mask import Mask, Process
 from metafab.spec.scene import Scene
 from metafab.spec.substrate import Substrate
-from metafab.spec.terms import Axicon, DoubleHelix, Lens, PhaseTerm, Picture, Radial, SpiralZones, SplitLens, Vortex
+from metafab.spec.terms import Lens, PhaseTerm, Radial, SpiralZones, SplitLens
 
 FieldPoints = Annotated[int, Field(strict=True, ge=1, le=65)]
 
 #: Smallest design rule over the wavelength; a smaller one is probably in micrometres.
 _LEAST_RULE = 1e-3
-
-#: Terms whose image is no focus.
-_SHAPED = (Axicon, DoubleHelix, Picture, SpiralZones, Vortex)
 
 #: Longest side of a PSF window (pixels).
 MAX_WINDOW_PX = 2048
@@ -366,7 +363,7 @@ class Design(Checked):
     def is_lens(self) -> bool:
         """Whether the phase is that of a lens with one focus, aberrations included."""
         focusing = any(isinstance(term, Lens | Radial | SplitLens) for term in self.phase)
-        return focusing and not any(isinstance(term, _SHAPED) for term in self.phase)
+        return focusing and not any(term.blurs for term in self.phase)
 
     def _faults_of_lights(self) -> Iterator[str]:
         if not self.light:

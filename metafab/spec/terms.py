@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 from pydantic.dataclasses import dataclass
@@ -20,6 +20,10 @@ _MOST_ZERNIKES, _MOST_RADIAL = 231, 240
 class _Term(Checked):
     """Base of all phase terms."""
 
+    deflects: ClassVar[bool] = False  #: Whether the keys state where the term sends all light, as those of a lens do.
+    is_own: ClassVar[bool] = False  #: Whether its phase is the user's own, whose mean slope may deflect light.
+    blurs: ClassVar[bool] = False  #: Whether a lens with this term has another image than a focus.
+
     polarisation: Polarisation | None = None  #: Polarisation that the term acts on; both without the key.
 
 
@@ -30,6 +34,7 @@ class SpiralZones(_Term):
     The y polarisation gets the point reflection, which makes the PSF pair conjugate.
     """
 
+    blurs = True
     term: Literal["spiral_zones"] = "spiral_zones"
     #: Number of zones; zone number n has topological charge n.
     zones: Annotated[int, Field(strict=True, ge=1, le=64)] = 4
@@ -53,6 +58,7 @@ class SpiralZones(_Term):
 class SplitLens(_Term):
     """Off-axis lenses, one for each polarisation: Eqs. 3 and 4 of Shen 2023."""
 
+    deflects = True
     term: Literal["split_lens"] = "split_lens"
     #: Off-axis angle: x polarisation is focused at minus, y polarisation at plus this angle.
     angle_deg: Annotated[float, Field(strict=True, ge=0.0, lt=90.0)] = 8.0
@@ -63,6 +69,7 @@ class SplitLens(_Term):
 class Lens(_Term):
     """A hyperbolic lens on the axis."""
 
+    deflects = True
     term: Literal["lens"] = "lens"
     object_depth_m: Positive | None = None  #: Depth of the object in focus; collimated light without the key.
 
@@ -71,6 +78,7 @@ class Lens(_Term):
 class Vortex(_Term):
     """A spiral phase of integer charge."""
 
+    blurs = True
     term: Literal["vortex"] = "vortex"
     charge: Annotated[int, Field(strict=True)] = 1  #: Topological charge.
 
@@ -79,6 +87,7 @@ class Vortex(_Term):
 class Grating(_Term):
     """A linear phase."""
 
+    deflects = True
     term: Literal["grating"] = "grating"
     angle_deg: Annotated[float, Field(strict=True, gt=-90.0, lt=90.0)] = 0.0  #: Deflection of normal incidence.
     azimuth_deg: Real = 0.0  #: Direction of the deflection, from x towards y.
@@ -88,6 +97,7 @@ class Grating(_Term):
 class Axicon(_Term):
     """A conical phase."""
 
+    deflects = blurs = True
     term: Literal["axicon"] = "axicon"
     #: Deflection towards the axis; away from it if negative.
     angle_deg: Annotated[float, Field(strict=True, gt=-90.0, lt=90.0)] = 0.0
@@ -97,6 +107,7 @@ class Axicon(_Term):
 class DoubleHelix(_Term):
     """A double helix of Gauss-Laguerre modes."""
 
+    blurs = True
     term: Literal["double_helix"] = "double_helix"
     waist: Positive = 0.35  #: Waist of the modes in units of the aperture's radius.
     modes: Annotated[int, Field(strict=True, ge=2, le=8)] = 5  #: Number of Gauss-Laguerre modes.
@@ -106,6 +117,7 @@ class DoubleHelix(_Term):
 class Zernike(_Term):
     """A Zernike polynomial, normalised to 1 at the rim, times an amplitude."""
 
+    is_own = True
     amplitude_rad: Real = 0.0  #: Phase at the rim.
     term: Literal["zernike"] = "zernike"
     degree: Annotated[int, Field(strict=True, ge=0, le=40)] = 0  #: Degree n.
@@ -124,6 +136,7 @@ class Zernike(_Term):
 class Zernikes(_Term):
     """A sum of Zernike polynomials by their numbers in a named convention, from number 1 on."""
 
+    is_own = True
     term: Literal["zernikes"] = "zernikes"
     coefficients_rad: tuple[Real, ...] = ()  #: Coefficients of numbers 1, 2, 3, ...; piston is the first.
     #: Numbers and norm: rms 1 over the circle for "noll", 1 at the rim for "fringe".
@@ -155,6 +168,7 @@ class Radial(_Term):
 class UserArray(_Term):
     """A phase map from a file."""
 
+    is_own = True
     #: A .npy, .csv or .h5 file of phases in radians: shape (n_y, n_x), lowest y first, or (2, n_y, n_x) for x and y
     #: polarisation.
     file: Path = Field(kw_only=True)
@@ -167,6 +181,7 @@ class UserArray(_Term):
 class Picture(_Term):
     """A hologram: with a lens, the phase that projects a picture onto the sensor."""
 
+    blurs = True
     file: Path = Field(kw_only=True)  #: Picture to project: .png, .tif or .npy, its first row at the top.
     width_um: Positive = Field(kw_only=True)  #: Width of the projected picture.
     term: Literal["hologram"] = "hologram"

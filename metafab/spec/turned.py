@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from metafab.core.errors import Fault, InputError
 from metafab.spec.design import Design
-from metafab.spec.terms import Axicon, Grating, Lens, SplitLens
+from metafab.spec.terms import SplitLens
 
 
 def require_turnable(design: Design) -> None:
@@ -26,7 +26,7 @@ def require_turnable(design: Design) -> None:
         unavailable["optics.filter_fwhm_nm"] = design.optics.filter_fwhm_nm is not None
         unavailable["optics.substrate_um"] = design.optics.substrate_um > 0.0
     for number, term in enumerate(design.phase):
-        unavailable[f"phase[{number}].term"] = isinstance(term, Lens | Grating | Axicon)
+        unavailable[f"phase[{number}].term"] = term.deflects and not isinstance(term, SplitLens)
         unavailable[f"phase[{number}].object_depth_m"] = isinstance(term, SplitLens) and term.object_depth_m is not None
     if design.scene is not None and any(item.moves for item in design.scene.objects):
         unavailable["scene.exposure_s"] = design.scene.exposure_s > 0.0

@@ -16,8 +16,12 @@ from metafab.core.numeric.compiled import compiled
 from metafab.phase.terms.profile import PhaseProfile, PolarisedTerm
 
 
+class Carrier(PolarisedTerm):
+    """Base of the terms that send all light somewhere and leave the shape of the PSF to the others."""
+
+
 @dataclass(frozen=True)
-class LensPhase(PolarisedTerm):
+class LensPhase(Carrier):
     """On-axis hyperbolic lens: -k (sqrt(r^2 + s^2) - s), plus this term with a finite object distance."""
 
     wavelength_um: float  #: Vacuum wavelength.
@@ -30,7 +34,7 @@ class LensPhase(PolarisedTerm):
 
 
 @dataclass(frozen=True)
-class SplitLensPhase(PolarisedTerm):
+class SplitLensPhase(Carrier):
     """Off-axis lenses of Eqs. 3 and 4 of Shen 2023: x polarisation to -theta, y polarisation to +theta.
 
     The image of an object at ``object_distance_um`` on the axis lies at ``image_distance_um`` from the centre of the
@@ -75,7 +79,7 @@ def path_um(
 
 
 @dataclass(frozen=True)
-class GratingPhase(PolarisedTerm):
+class GratingPhase(Carrier):
     """A linear phase that deflects normal incidence by ``angle_deg`` towards ``azimuth_deg``."""
 
     wavelength_um: float  #: Vacuum wavelength.
@@ -89,7 +93,7 @@ class GratingPhase(PolarisedTerm):
 
 
 @dataclass(frozen=True)
-class AxiconPhase(PolarisedTerm):
+class AxiconPhase(Carrier):
     """Axicon: deflects light by ``angle_deg``, towards the axis for a positive angle."""
 
     wavelength_um: float  #: Vacuum wavelength.
@@ -101,6 +105,5 @@ class AxiconPhase(PolarisedTerm):
 
 
 def without_carriers(profile: PhaseProfile) -> PhaseProfile:
-    """Return the profile without lens, split lens, grating and axicon: the part that shapes the PSF."""
-    carriers = (SplitLensPhase, LensPhase, GratingPhase, AxiconPhase)
-    return replace(profile, terms=tuple(term for term in profile.terms if not isinstance(term, carriers)))
+    """Return the profile without its carriers: the part that shapes the PSF."""
+    return replace(profile, terms=tuple(term for term in profile.terms if not isinstance(term, Carrier)))
