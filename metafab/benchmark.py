@@ -33,6 +33,7 @@ ROOMS = (
     "films",
     "files",
     "faults",
+    "cluster",
     "end_to_end",
     "targets",
     "floor",
@@ -44,8 +45,9 @@ ROOM_OPTIONS = {
     "certificates": ("seed", "samples", "only"),
     "files": ("seed", "samples", "only"),
     "films": ("samples",),
-    "faults": ("seed", "samples"),
+    "faults": ("seed", "samples", "only"),
     "apertures": ("only",),
+    "cluster": ("only",),
 }
 #: Rooms that report their own progress.
 _REPORTING = {"scenes"}

@@ -1,14 +1,17 @@
-"""The command line in a process of its own, with its processor time and memory."""
+"""The command line, and a Dask scheduler and its workers, as processes with their processor time and memory."""
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -53,3 +56,60 @@ def finished(*arguments: str, most_s: int = 3600) -> Finished:
         seconds = time.perf_counter() - start
         code, busy_s, peak_rss_mb = figures.read().split()
     return Finished(int(code), stdout, stderr, seconds, float(busy_s), float(peak_rss_mb))
+
+
+@dataclass
+class DaskProcess:
+    """The scheduler or a worker of a Dask cluster on this machine; its figures are known once it is ended."""
+
+    process: subprocess.Popen[bytes]  #: The process.
+    processor_seconds: float = field(default=0.0, init=False)  #: Processor time; 0 if it ended by itself.
+    peak_rss_mb: float = field(default=0.0, init=False)  #: Largest resident memory; likewise.
+
+    def end(self) -> None:
+        """Kill the process and note what it took."""
+        self.process.kill()
+        with suppress(ChildProcessError):  # it has ended, and been seen to
+            _, status, used = os.wait4(self.process.pid, 0)
+            self.process.returncode = os.waitstatus_to_exitcode(status)
+            self.processor_seconds = used.ru_utime + used.ru_stime
+            self.peak_rss_mb = used.ru_maxrss * 1024 / 1e6
+
+
+@contextmanager
+def dask_scheduler(file: Path) -> Iterator[tuple[DaskProcess, str]]:
+    """Start a Dask scheduler on the loopback interface, yield it and its address, and end it in the end.
+
+    Workers find it by ``file``, which it writes.
+    """
+    with _dask("scheduler", file, "--host", "127.0.0.1", "--port", "0") as scheduler:
+        yield scheduler, _address(file, scheduler.process)
+
+
+def _address(file: Path, scheduler: subprocess.Popen[bytes]) -> str:
+    """Address that a scheduler writes into its file; RuntimeError if it ends before."""
+    while scheduler.poll() is None:
+        with suppress(OSError, ValueError):  # not there, or half written
+            return str(json.loads(file.read_text(encoding="utf-8"))["address"])
+        time.sleep(0.1)
+    raise RuntimeError(f"the Dask scheduler ended with {scheduler.returncode}")
+
+
+@contextmanager
+def dask_worker(file: Path) -> Iterator[DaskProcess]:
+    """Start a worker of one thread for the scheduler of ``file``, and end it in the end."""
+    with _dask("worker", file, "--nthreads", "1", "--no-nanny") as worker:
+        yield worker
+
+
+@contextmanager
+def _dask(what: str, file: Path, *options: str) -> Iterator[DaskProcess]:
+    arguments = ["--scheduler-file", str(file), "--no-dashboard", *options]
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    args = [sys.executable, "-m", f"distributed.cli.dask_{what}", *arguments]
+    started = DaskProcess(subprocess.Popen(args, env=environment, **quiet))
+    try:
+        yield started
+    finally:
+        started.end()

@@ -27,19 +27,30 @@ import resource
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from benchmarks.pipeline.commands import REPOSITORY, command, dask_scheduler, dask_worker
+from metafab.core.errors import InputError
 from metafab.spec import write_new
 
-REPOSITORY = Path(__file__).parents[2]
+#: Kinds of faults.
+KINDS = (
+    "kills",
+    "killed workers",
+    "cluster",
+    "second run",
+    "other place",
+    "damaged files",
+    "full disk",
+    "read-only folder",
+)
 #: Files that hold times or owners, and so differ between any two runs.
 TIMED = {"summary.json", ".rerun.json", ".run.lock"}
 #: Time, s, by which no process may outlive its parent.
@@ -93,22 +104,26 @@ class Project:
         return Project(folder)
 
 
-def rows(quick: bool, seed: int = 0, samples: int | None = None) -> list[dict[str, Any]]:
-    """A row of all faults, and one for each kind; ``samples`` is the number of kills."""
+def rows(quick: bool, seed: int = 0, samples: int | None = None, only: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """A row of all faults, and one for each kind, or for those of ``only``; ``samples`` is the number of kills."""
+    for kind in only:
+        if kind not in KINDS:
+            raise InputError.single("benchmark", "--only", f"one of {', '.join(KINDS)}", repr(kind))
     kills = samples or (4 if quick else 40)
     with tempfile.TemporaryDirectory() as folder:
         project, whole_s = _project(Path(folder) / "project")
         results = _results(project.folder)
-        groups = {
-            "kills": list(_killed(project, results, whole_s, kills, random.Random(seed))),
-            "killed workers": list(_killed_workers(project, results["cell.h5"], 1 if quick else 5)),
-            "cluster": list(_cluster()),
-            "second run": list(_second_runs(project, 1 if quick else 5)),
-            "other place": list(_other_place(project, results)),
-            "damaged files": list(_damaged(project, results, quick=quick)),
-            "full disk": list(_full_disk(project, results)),
-            "read-only folder": list(_read_only(project)),
-        }
+        cases_of = (
+            _killed(project, results, whole_s, kills, random.Random(seed)),
+            _killed_workers(project, results["cell.h5"], 1 if quick else 5),
+            _cluster(),
+            _second_runs(project, 1 if quick else 5),
+            _other_place(project, results),
+            _damaged(project, results, quick=quick),
+            _full_disk(project, results),
+            _read_only(project),
+        )
+        groups = {kind: list(cases) for kind, cases in zip(KINDS, cases_of, strict=True) if kind in (only or KINDS)}
     cases = [case for group in groups.values() for case in group]
     return [_row("all answers", cases), *(_row(name, group) for name, group in groups.items())]
 
@@ -209,12 +224,12 @@ def _cluster() -> Iterator[Case]:
         for number, (victim, how) in enumerate((("scheduler", "KILL"), ("scheduler", "TERM"), ("worker", "KILL"))):
             out, at = folder / f"{number}.h5", folder / f"{number}.json"
             build = ["library", "build", cell, "-o", str(out)]
-            with _dask("scheduler", at, "--host", "127.0.0.1", "--port", "0") as scheduler, _one_worker(at) as worker:
-                process = _started(*build, "--cluster", _address(at, scheduler))
+            with dask_scheduler(at) as (scheduler, address), dask_worker(at) as worker:
+                process = _started(*build, "--cluster", address)
                 while process.poll() is None and not list(folder.glob(f"{out.stem}.*.partial")):
                     time.sleep(0.1)
                 start = time.perf_counter()
-                os.kill((scheduler if victim == "scheduler" else worker).pid, getattr(signal, f"SIG{how}"))
+                os.kill((scheduler if victim == "scheduler" else worker).process.pid, getattr(signal, f"SIG{how}"))
                 if victim == "scheduler":
                     done = _finished(process)
                     seconds, faults = time.perf_counter() - start, _ended(done, 1)
@@ -225,37 +240,10 @@ def _cluster() -> Iterator[Case]:
                     said = next((line for line in process.stderr if "has had no worker" in line), "")
                     seconds = time.perf_counter() - start
                     faults = [] if said and seconds < WORKERS_S else [f"after {seconds:.0f} s: {said.strip()}"]
-                    with _one_worker(at):
+                    with dask_worker(at):
                         faults += _ended(_finished(process), 0)
             faults += [] if out.is_file() and out.read_bytes() == whole.read_bytes() else ["another library"]
             yield Case(f"{victim} of the cluster, SIG{how}", seconds, tuple(faults))
-
-
-def _address(file: Path, scheduler: subprocess.Popen[bytes]) -> str:
-    """Address that a scheduler writes into its file; RuntimeError if it ends before."""
-    while scheduler.poll() is None:
-        with suppress(OSError, ValueError):
-            return str(json.loads(file.read_text(encoding="utf-8"))["address"])
-        time.sleep(0.1)
-    raise RuntimeError(f"the Dask scheduler ended with {scheduler.returncode}")
-
-
-def _one_worker(file: Path) -> AbstractContextManager[subprocess.Popen[bytes]]:
-    return _dask("worker", file, "--nthreads", "1", "--no-nanny")
-
-
-@contextmanager
-def _dask(what: str, file: Path, *options: str) -> Iterator[subprocess.Popen[bytes]]:
-    """Start the scheduler or a worker of a Dask cluster, which finds its like by a file, and end it in the end."""
-    arguments = ["--scheduler-file", str(file), "--no-dashboard", *options]
-    command = [sys.executable, "-m", f"distributed.cli.dask_{what}", *arguments]
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
 
 
 def _second_runs(project: Project, count: int) -> Iterator[Case]:
@@ -359,20 +347,15 @@ def _disk(options: str) -> Iterator[Path | None]:
             subprocess.run(["umount", folder], check=True)
 
 
-def _command(*arguments: str) -> dict[str, Any]:
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    return {"args": [sys.executable, "-m", "metafab.cli", *arguments], "env": environment, "text": True}
-
-
 def _metafab(*arguments: str) -> subprocess.CompletedProcess[str]:
     """Run a command to its end."""
-    return subprocess.run(**_command(*arguments), capture_output=True, check=False, timeout=600.0)
+    return subprocess.run(**command(*arguments), capture_output=True, check=False, timeout=600.0)
 
 
 def _started(*arguments: str) -> subprocess.Popen[str]:
     """Start a command in a session of its own, so that all its processes can be found."""
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "start_new_session": True}
-    return subprocess.Popen(**_command(*arguments), **quiet)
+    return subprocess.Popen(**command(*arguments), **quiet)
 
 
 def _finished(process: subprocess.Popen[str]) -> subprocess.CompletedProcess[str]:

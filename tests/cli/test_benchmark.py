@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from metafab import benchmark
-from metafab.cli.app import app
+from metafab.cli.entry import app
 from metafab.core.errors import MissingToolError
 from metafab.spec import load_design
 from tests.main_job import SMALL, metafab

@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from metafab.cli.app import app
-from metafab.cli.entry import hoisted
+from metafab.cli.entry import app, hoisted
 from metafab.core.errors import InputError
 from metafab.core.storage.limits import limit
 

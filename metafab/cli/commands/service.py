@@ -33,7 +33,8 @@ def benchmark_command(
         typer.Option(
             "--only",
             metavar="NAME",
-            help="Case of `scenes`, part of `expose` or `files`, kind of `certificates`, um of `apertures`; repeats.",
+            help="Case of `scenes`, part of `expose`, `files`, kind of `certificates`, `faults`, um of `apertures`, "
+            "job of `cluster`; repeats.",
         ),
     ] = None,
     seeds: Annotated[

@@ -163,20 +163,20 @@ def in_order(
 ) -> Generator[Result]:
     """Apply ``function`` to each item and yield the results in the order of the items, at most ``ahead`` in flight.
 
-    On a cluster, two calls per slot are in flight, and ``function`` is sent to each worker once.
+    A cluster has its own way (:meth:`metafab.core.parallel.cluster.ClusterExecutor.in_order`).
     """
-    submit = _submitter(executor, function)
     if isinstance(executor, ClusterExecutor):
-        ahead = 2 * executor.slots  # results that a worker has not yet handed over die with it
+        yield from executor.in_order(function, items)
+        return
     source = iter(items)
     pending: deque[Future[Result]] = deque()
     try:
         for item in islice(source, ahead):
-            pending.append(submit(item))
+            pending.append(executor.submit(function, item))
         while pending:
             result = pending.popleft().result()
             for item in islice(source, 1):
-                pending.append(submit(item))
+                pending.append(executor.submit(function, item))
             yield result
     finally:
         for future in pending:

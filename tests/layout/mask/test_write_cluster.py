@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import resource
 import signal
+import sys
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -92,6 +95,48 @@ def test_a_cluster_finds_the_same_violations(
 def test_the_engine_that_runs_on_one_machine_says_so(tiny_files: dict[str, Path], tiny_design: Design) -> None:
     with pytest.raises(InputError, match="runs on one machine"):
         drc.check(tiny_files["oas"], tiny_design, engine="rectangles", work=Work(cluster="tcp://127.0.0.1:1"))
+
+
+def _quick(number: int) -> tuple[int, str]:
+    """A number and the call that it came with."""
+    return number, _this_call()
+
+
+def _slow(number: int) -> str:
+    """The call of a number that takes longer than calls are made to take."""
+    time.sleep(0.25)
+    return _this_call()
+
+
+def _this_call() -> str:
+    from distributed import get_worker
+
+    return str(get_worker().get_current_task())
+
+
+def _page_faults(number: int) -> int:
+    """Page faults of an array of 2 MB."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    np.ones(1 << 18)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+def test_quick_items_share_calls_and_slow_ones_do_not(cluster: str) -> None:
+    """Dask takes as long for a call as a tile takes; sums of a whole lens are of thousands."""
+    with open_executor(cluster=cluster) as executor:
+        found = list(in_order(executor, _quick, range(400)))
+        slow = list(in_order(executor, _slow, range(6)))
+    assert [number for number, _ in found] == list(range(400))
+    assert len({call for _, call in found}) < 60
+    assert len(set(slow)) == 6
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="glibc's malloc")
+def test_a_worker_keeps_the_memory_of_freed_arrays(cluster: str) -> None:
+    """Dask has its workers give every array back; each new one then takes 500 page faults."""
+    with open_executor(cluster=cluster) as executor:
+        faults = list(in_order(executor, _page_faults, range(100)))
+    assert np.median(faults) < 50
 
 
 def _die_once(place: tuple[int, str]) -> int:

@@ -16,7 +16,7 @@ from metafab.benchmark import rows_of
 from metafab.cell import CellNumerics, solve
 from metafab.cell.curved import is_treated
 from metafab.cell.validation import check
-from metafab.cli.app import app
+from metafab.cli.entry import app
 from metafab.core.errors import InputError
 from tests.paper_cell import SILICON
 
