@@ -10,8 +10,11 @@
 
 from __future__ import annotations
 
+import json
 import math
+import os
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -36,6 +39,7 @@ _RECORDS = {
     "al2o3": ("Al2O3/Malitson",),
 }
 _WIDEST, _MARGIN = 1.65, 0.93
+_LEAST_INDEX = 1.3
 #: Heights that are tried, in turns of phase; between them, at 2.2 turns, two modes of the larger pillars of titanium
 #: dioxide or silicon cancel behind the pillars: 37 to 61 % of the crosses pass less than half of the light.
 _TURNS = (1.85, 2.2, 2.6, 3.0)
@@ -45,8 +49,8 @@ _NEARLY = 0.02
 _COSINES, _ORDER = 6, 3
 #: Sizes along each axis in the search, by the number of axes; and in the reach, which takes every size of one axis.
 _SIZES, _SIZES_OF_TWO = {1: 20, 2: 10}, 20
-#: Gap and smallest size over the period, and the largest of either that a rule needs, nm.
-_GAP, _FEATURE, _LARGEST_RULE_NM = 0.28, 0.22, 100.0
+#: Gap and smallest size over the period, and the largest of either that a rule needs, nm, or over the wavelength.
+_GAP, _FEATURE, _LARGEST_RULE_NM, _LARGEST_RULE = 0.28, 0.22, 100.0, 0.05
 #: Hole and thinnest wall of rings over the period.
 _HOLE, _WALL = 0.2, 0.125
 _ROUND_NM = 10.0
@@ -73,31 +77,38 @@ def starting_cell(
     substrate: str = "SiO2",
     shape: str = "rectangle",
     numerical_aperture: float = 0.0,
+    folder: Path = Path(),
 ) -> StartingCell:
     """Return a commented unit-cell file, in one to five seconds of processor time.
 
     Args:
-        material: of the pillars: a usual name (TiO2, Si, a-Si, SiN, SiO2, Al2O3) or a record.
+        material: of the pillars: a usual name (TiO2, Si, a-Si, SiN, SiO2, Al2O3), a record, the path of a CSV file
+            (``wavelength_nm,n,k``), or an index such as "2.4" or "3.7+0.01j".
         substrate: likewise.
         shape: cross-section of the pillars: "rectangle", "circle", "ellipse", "cross" or "ring".
         numerical_aperture: of a lens made of such cells, below 1; 0 for any.
+        folder: of the unit-cell file, for the paths in it.
 
     Raises:
-        InputError: an unknown material or shape, a record without that wavelength, or pillars whose index is too low.
+        InputError: an unknown material or shape, an unusable CSV file, a record without that wavelength, or pillars
+            whose index is too low for air.
     """
     if shape not in _ERROR:
         raise InputError.single("new", "--shape", f"one of {', '.join(_ERROR)}", repr(shape), near(shape, _ERROR))
-    pillar, ground = (
-        _record(name, wavelength_nm, option) for name, option in ((material, "--material"), (substrate, "--substrate"))
+    (pillar, pillar_name, pillar_toml), (ground, ground_name, ground_toml) = (
+        _material(name, wavelength_nm, option, folder)
+        for name, option in ((material, "--material"), (substrate, "--substrate"))
     )
-    n, n_substrate = (refractive_index(Material(record=name), wavelength_nm)[0].real for name in (pillar, ground))
-    if n < n_substrate + 0.3:
-        expected = f"a material with an index above that of the substrate, {n_substrate:.3g}, by 0.3 or more"
-        raise InputError.single("new", "--material", expected, f"{pillar} with {n:.3g}")
+    n_pillar, n_ground = (refractive_index(each, wavelength_nm) for each in (pillar, ground))
+    n, n_substrate = n_pillar[0].real, n_ground[0].real
+    if n < _LEAST_INDEX:
+        expected = f"a material with an index of {_LEAST_INDEX:g} or more, which guides light in air"
+        raise InputError.single("new", "--material", expected, f"{material} with {n:.3g}")
     widest_nm = wavelength_nm / max(n_substrate, 2.0 * numerical_aperture, n / _WIDEST)
     period_nm = _ROUND_NM * math.floor(_MARGIN * widest_nm / _ROUND_NM)
+    largest_nm = max(_LARGEST_RULE_NM, _LARGEST_RULE * wavelength_nm)
     gap_nm, low_nm = (
-        _ROUND_NM * max(1, round(min(share * period_nm, _LARGEST_RULE_NM) / _ROUND_NM)) for share in (_GAP, _FEATURE)
+        _ROUND_NM * max(1, round(min(share * period_nm, largest_nm) / _ROUND_NM)) for share in (_GAP, _FEATURE)
     )
     high_nm = period_nm - gap_nm
     hole, hole_nm = "", 0.0
@@ -106,14 +117,14 @@ def starting_cell(
         low_nm = hole_nm + 2.0 * wall_nm
         hole = f"\ninner_diameter_nm = {hole_nm:.1f}"
     span_nm, fewest = high_nm - low_nm, _FEWEST_STEPS[shape]
-    step_nm = next(step for step in (10.0, 5.0, 2.0, 1.0) if span_nm / step >= fewest or step == 1.0)
+    step_nm = next(step for step in (100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0) if span_nm / step >= fewest or step == 1.0)
     cell = PillarCell(
         period_nm=(period_nm, period_nm),
         width_nm=low_nm,
         length_nm=low_nm,
         height_nm=0.0,
-        n_pillar=refractive_index(Material(record=pillar), wavelength_nm)[0],
-        n_substrate=refractive_index(Material(record=ground), wavelength_nm),
+        n_pillar=n_pillar[0],
+        n_substrate=n_ground,
         n_ambient=1.0 + 0.0j,
         wavelength_nm=wavelength_nm,
         shape=cast("Shape", "ellipse" if shape == "circle" else shape),
@@ -128,12 +139,12 @@ def starting_cell(
     many_nm = np.linspace(low_nm, high_nm, steps + 1 if axes == 1 else min(steps + 1, _SIZES_OF_TWO))
     fields = _fields(replace(cell, height_nm=height_nm), many_nm, axes)
     reach_rad, efficiency = covered_rad(np.angle(fields[np.abs(fields) ** 2 >= 0.5])), _efficiency(fields)
-    text = f"""# Pillars of {pillar} on {ground} at {wavelength_nm:g} nm, by the rules of thumb and the
+    text = f"""# Pillars of {pillar_name} on {ground_name} at {wavelength_nm:g} nm, by the rules of thumb and the
 # search of `metafab new`; change what your process says. Periods below {wavelength_nm / n_substrate:.0f} nm keep all
 # light in the zero order of the substrate. Solved at a low order, the sizes that transmit half of the light or
 # more reach {reach_rad:.2f} rad of phase (a turn is 6.28). A slow grating of these pillars sends
 # {100.0 * efficiency:.0f} % of the light into its order.
-source = "indices: records {pillar} ({n:.4g}) and {ground} ({n_substrate:.4g})"
+source = "indices: {pillar_name} ({n:.4g}) and {ground_name} ({n_substrate:.4g})"
 
 [cell]
 period_nm = {period_nm:.1f}
@@ -141,8 +152,8 @@ height_nm = {height_nm:.1f}
 shape = "{shape}"{hole}
 
 [materials]
-pillar = "{pillar}"
-substrate = "{ground}"
+pillar = {pillar_toml}
+substrate = {ground_toml}
 ambient = {{ n = 1.0 }}
 
 [illumination]
@@ -182,14 +193,35 @@ def _efficiency(fields: ComplexArray) -> float:
     return float(np.abs(np.mean(fields[best] * target.conj())) ** 2)
 
 
+def _material(name: str, wavelength_nm: float, option: str, folder: Path) -> tuple[Material, str, str]:
+    """A material by name, file or index, its name in a sentence, and its value in a unit-cell file in ``folder``."""
+    try:
+        index = complex(name.lower().replace("i", "j"))
+    except ValueError:
+        pass
+    else:
+        if not (0.0 < index.real < math.inf and 0.0 <= index.imag < math.inf):
+            raise InputError.single("new", option, "an index n + kj with n above 0 and k of 0 or more", repr(name))
+        return Material(n=index.real, k=index.imag), f"index {name}", f"{{ n = {index.real!r}, k = {index.imag!r} }}"
+    if name.lower().endswith(".csv"):
+        inside = Path(os.path.relpath(name, folder)).as_posix()
+        return Material(record=name), Path(name).name, json.dumps(inside, ensure_ascii=False)
+    record = _record(name, wavelength_nm, option)
+    return Material(record=record), record, f'"{record}"'
+
+
 def _record(name: str, wavelength_nm: float, option: str) -> str:
     """Record of a material at a wavelength."""
     known = {record.name: record.range_nm for record in records()}
     tried = [name] if name in known else _RECORDS.get(name.lower(), ())
     if not tried:
-        expected = f"a material such as {', '.join(sorted(known))}, TiO2, Si, a-Si, SiN"
-        remedy = near(name, {*known, "TiO2", "Si", "a-Si", "SiN"}) or "`docs/howto/new-material.md` adds others"
-        raise InputError.single("new", option, expected, repr(name), remedy)
+        usual = ("TiO2", "Si", "a-Si", "SiN")
+        records_, of_your_own = (
+            ", ".join(sorted(known)),
+            "a CSV file (`wavelength_nm,n,k`) or an index such as 2.4+0.01j",
+        )
+        expected = f"a material such as {', '.join(usual)}, {records_}; {of_your_own}"
+        raise InputError.single("new", option, expected, repr(name), near(name, {*known, *usual}))
     for record in tried:
         low, high = known[record]
         if low <= wavelength_nm <= high:

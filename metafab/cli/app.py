@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer import BadParameter
 from typer.core import TyperCommand, TyperGroup
 from typer.models import CommandFunctionType
 
@@ -25,7 +26,20 @@ HELP = {"help_option_names": ["-h", "--help"]}
 
 
 class _Command(TyperCommand):
-    """A command that refuses to write its result over one of its input files."""
+    """A command that states bad values in our words and refuses to write its result over one of its input files."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        try:
+            return super().parse_args(ctx, args)
+        except BadParameter as error:
+            if error.__cause__ is not None:
+                from pydantic import ValidationError
+
+                from metafab.spec.keys.faults import option_fault
+
+                if isinstance(error.__cause__, ValidationError):
+                    error.message = option_fault(error.__cause__, error.message)
+            raise
 
     def invoke(self, ctx: Any) -> Any:
         output = ctx.params.get("output")

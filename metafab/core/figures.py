@@ -47,6 +47,7 @@ class BuildStatistics:
     points_solved: int = 0  #: Sizes solved, on and off the grid.
     points_between: int = 0  #: Sizes solved off the grid.
     points_total: int = 0  #: Sizes of the library.
+    points_left_out: int = 0  #: Rows of an imported sweep without a finite amplitude, which are left out.
     max_error: float = math.nan  #: Largest error bound of a size.
     sizes_beyond_target: int = 0  #: Sizes whose error bound is above the target error.
     max_solver_error: float = math.nan  #: Largest solver error in the error bounds.

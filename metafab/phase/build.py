@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab.core.conventions import POLARISATIONS, FloatArray, image_distance_mm, wrap_phase
 from metafab.core.errors import Fault, InputError
@@ -38,6 +39,10 @@ _BLIND_DEPTHS = 10
 _SEARCH_SAMPLES = 64
 #: Places along a side of the aperture at which the mean slope of a target is taken.
 _SLOPE_PLACES = 128
+#: Largest pitch of an array over the period for which its steps may exceed what pillars sample.
+_FINER = 0.75
+#: Distance of a local slope, periods.
+_LOCAL = 1e-3
 #: The direction that was found last; each step of a run needs it.
 _DIRECTIONS: Latest[tuple[tuple[float, float], tuple[float, float]]] = Latest()
 
@@ -224,20 +229,53 @@ def mean_direction(design: Design) -> tuple[tuple[float, float], tuple[float, fl
 
 
 def _mean_direction(design: Design, terms: list[Term]) -> tuple[tuple[float, float], tuple[float, float]]:
+    # Over a whole period: where the pillars alias a slope, the light goes into the direction of the alias.
+    slopes, inside = _slopes(design, terms, periods=1.0)
+    mean = slopes[..., inside].sum(axis=-1) / max(1, np.count_nonzero(inside))
+    cosines = mean * design.wavelength_um / (2.0 * np.pi)
+    (x_x, x_y), (y_x, y_y) = cosines.tolist()
+    return (x_x, x_y), (y_x, y_y)
+
+
+def _slopes(design: Design, terms: Sequence[Term], *, periods: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Mean slopes (rad/um) over some periods, shape (2, 2, n, n) for polarisation and axis; mask of the device."""
     half_um = 0.5 * design.device.aperture_um
     places = (np.arange(_SLOPE_PLACES) + 0.5) / _SLOPE_PLACES * 2.0 * half_um - half_um
-    inside = design.device.encloses(places, places)
-    wavenumber, cosines = 2.0 * np.pi / design.wavelength_um, np.zeros((2, 2))
+    slopes = np.zeros((2, 2, _SLOPE_PLACES, _SLOPE_PLACES))
     for p, name in enumerate(POLARISATIONS):
-        for axis, step_um in enumerate(1e-3 * period_nm for period_nm in design.unit_cell.cell.period_nm):
+        for axis, step_um in enumerate(1e-3 * periods * period_nm for period_nm in design.unit_cell.cell.period_nm):
             ends = []
             for side in (-0.5, 0.5):
                 x, y = (places + side * step_um * (axis == along) for along in (0, 1))
-                ends.append(sum((term(x, y, name) for term in terms), np.zeros_like(inside, dtype=np.float64)))
-            slope = np.mean(wrap_phase(ends[1] - ends[0])[inside]) / step_um if inside.any() else 0.0
-            cosines[p, axis] = slope / wavenumber
-    (x_x, x_y), (y_x, y_y) = cosines.tolist()
-    return (x_x, x_y), (y_x, y_y)
+                ends.append(sum((term(x, y, name) for term in terms), np.zeros(slopes.shape[2:])))
+            slopes[p, axis] = wrap_phase(ends[1] - ends[0]) / step_um
+    return slopes, design.device.encloses(places, places)
+
+
+def undersampled_share(design: Design) -> float:
+    """Share of the aperture where the target phase is too steep for the lattice of the pillars.
+
+    From pillar to pillar it turns by more than pi, so that a flatter phase, one turn a pillar less, has the same values
+    and takes the light: the slope lies beyond the first Brillouin zone of the lattice. The larger one of both
+    polarisations. Helices and holograms are left out, and arrays whose samples lie hardly closer than the pillars: the
+    wrapped steps of these never exceed pi. An unusable array raises InputError.
+    """
+    period_um = 1e-3 * np.array(design.unit_cell.cell.period_nm)
+    terms = [
+        _plain_term(design, term)
+        for term in design.phase
+        if not isinstance(term, spec.SpiralZones | spec.Picture | spec.DoubleHelix)
+        and not (isinstance(term, spec.UserArray) and term.pitch_um > _FINER * period_um.min())
+    ]
+    slopes, inside = _slopes(design, terms, periods=_LOCAL)
+    along_x, along_y = 2.0 * np.pi / period_um
+    # Shortest reciprocal lattice vectors, rad/um; every other row of a hexagonal lattice is offset by half a period.
+    if design.unit_cell.cell.is_hexagonal:
+        shortest = [(along_x, 0.5 * along_y), (along_x, -0.5 * along_y), (0.0, along_y)]
+    else:
+        shortest = [(along_x, 0.0), (0.0, along_y)]
+    beyond = [np.abs(slopes[:, 0] * gx + slopes[:, 1] * gy) > 0.5 * (gx**2 + gy**2) for gx, gy in shortest]
+    return float(np.any(beyond, axis=0)[:, inside].mean(axis=-1).max()) if inside.any() else 0.0
 
 
 def require_paintable(design: Design) -> None:

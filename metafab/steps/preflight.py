@@ -8,6 +8,9 @@ from metafab.core.errors import Fault, InputError
 from metafab.spec import Design, Scene
 from metafab.steps.job import Job, Step, light_tangent
 
+#: Share of the aperture that may be too steep without a word: the rim of a lens that just fits, the centre of a vortex.
+_STEEP_SHARE = 0.002
+
 
 @dataclass(frozen=True)
 class PreflightFigures:
@@ -122,6 +125,25 @@ def _objects_outside_view(design: Design, scene: Scene) -> list[Fault]:
     ]
 
 
+def too_steep(job: Job) -> list[str]:
+    """Return a warning, for each light, if the target phases are steeper than the pillars can follow."""
+    from metafab.phase.build import undersampled_share
+
+    warnings = []
+    for light in job.design.light or (None,):
+        design = job.design if light is None else job.at_light(light).design
+        share = undersampled_share(design) if design.has_mask else 0.0
+        if share > _STEEP_SHARE:
+            at = "" if light is None else f"at {light.label}, "
+            period = " x ".join(f"{period_nm:g}" for period_nm in dict.fromkeys(design.unit_cell.cell.period_nm))
+            warnings.append(
+                f"{at}the target phase turns by more than half a turn from pillar to pillar (period {period} nm) in "
+                f"{100.0 * share:.3g} % of the aperture: light from there goes another way, that of one turn a "
+                "pillar less; bend it less, or take a shorter period"
+            )
+    return warnings
+
+
 def _preflight(job: Job) -> PreflightFigures:
     from metafab import mask
     from metafab.cell.open_orders import open_orders
@@ -135,7 +157,7 @@ def _preflight(job: Job) -> PreflightFigures:
         if job.design.has_mask
         for each in open_orders(cell, **angles)
     ]
-    return PreflightFigures((*orders, *mask.announcement(job.design)))
+    return PreflightFigures((*orders, *too_steep(job), *mask.announcement(job.design)))
 
 
 #: Runs before all other steps and writes no file.

@@ -44,7 +44,7 @@ class CellFigures:
 def cell_command(
     unit_cell: UnitCellFile,
     width_nm: Annotated[float, typer.Option(min=0.0, help="Pillar size along x.")],
-    length_nm: Annotated[float, typer.Option(min=0.0, help="Pillar size along y.")],
+    length_nm: Annotated[float | None, typer.Option(min=0.0, help="Pillar size along y [default: the width].")] = None,
     wavelength_nm: Annotated[float | None, typer.Option(help="Vacuum wavelength [default: the file's].")] = None,
     angle_deg: Annotated[float, typer.Option(help="Polar angle of incidence, in the incident medium.")] = 0.0,
     azimuth_deg: Annotated[float, typer.Option(min=-360.0, max=360.0, help="Azimuth of incidence from +x.")] = 0.0,
@@ -60,6 +60,7 @@ def cell_command(
 
     spec = load_unit_cell(unit_cell)
     name = solver or spec.solver.name
+    length_nm = width_nm if length_nm is None else length_nm
     _require_size(spec, width_nm, length_nm)
     problem = cell.pillar_cell(
         spec, width_nm, length_nm, wavelength_nm=wavelength_nm, angle_deg=angle_deg, azimuth_deg=azimuth_deg
@@ -195,6 +196,8 @@ def library_import(
     quality = library.quality(made)
     announce(coverage_warning(quality.coverage_rad))
     announce(made.warnings())
+    if left_out := made.statistics.points_left_out:
+        announce([f"{left_out} rows of {sweep} hold no finite amplitude and are left out"])
     show(plain(quality) | statistics_json(made) | {"file": path}, json_)
 
 

@@ -29,6 +29,7 @@ def layout_command(
     from metafab import mask
     from metafab.steps import preflight, write_layout
     from metafab.steps.layout import light_targets
+    from metafab.steps.preflight import too_steep
 
     with open_work(workers, cluster) as (work, cost):
         job = open_job(design, output, work)
@@ -40,7 +41,7 @@ def layout_command(
             library = _library_for_plan(job)
             show(mask.plan(job.profile, library, job.design, workers, lights=light_targets(job)), json_)
             return
-        announce(mask.announcement(job.design))
+        announce([*too_steep(job), *mask.announcement(job.design)])
         figures = write_layout(job)
     show(figures, json_, seconds=cost.seconds, peak_rss_mb=cost.peak_rss_mb)
 

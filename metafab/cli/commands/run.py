@@ -34,7 +34,9 @@ def new_command(
     na: Annotated[float | None, typer.Option("--na", help="Numerical aperture of a metalens.")] = None,
     aperture_um: Annotated[float | None, typer.Option(help="Diameter of a metalens.")] = None,
     wavelength_nm: Annotated[float | None, typer.Option(help="Wavelength of a new unit cell.")] = None,
-    material: Annotated[str | None, typer.Option(help="Its pillars: TiO2, Si, a-Si, SiN or a record.")] = None,
+    material: Annotated[
+        str | None, typer.Option(help="Its pillars: TiO2, Si, a-Si, SiN, a record, a CSV file or n.")
+    ] = None,
     substrate: Annotated[str | None, typer.Option(help="Its substrate [default: SiO2].")] = None,
     shape: Annotated[str | None, typer.Option(help="Its shape: rectangle, circle, ellipse, cross or ring.")] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the files.")] = Path(),
@@ -69,6 +71,7 @@ def new_command(
             substrate=substrate or "SiO2",
             shape=shape or "rectangle",
             numerical_aperture=0.0 if lens is None else lens.numerical_aperture,
+            folder=output,
         )
         output.mkdir(parents=True, exist_ok=True)
         with whole_file(library) as part:

@@ -34,6 +34,8 @@ _FEWEST, _PARTS, _NEAR = 8, 10, 32
 _NEIGHBOURS = 6
 #: Largest power transmittance: 1, with the error of a rough solver.
 _MOST_POWER = 1.05
+#: Largest median error of samples that are predicted from the others; beyond, sizes between samples mean nothing.
+_MOST_MISSED = 0.5
 
 
 def import_sweep(
@@ -51,7 +53,8 @@ def import_sweep(
         time_sign: sign in exp(-+ i omega t) of the program; amplitudes of "plus" are conjugated.
 
     Raises:
-        InputError: the file cannot be used, a shape does not fit, or the amplitudes exceed the incident power.
+        InputError: the file cannot be used, a shape does not fit, the amplitudes exceed the incident power, or those of
+            like sizes have nothing in common.
     """
     table = read_sweep(path)
     _require_shape(table, unit_cell, path)
@@ -59,6 +62,10 @@ def import_sweep(
     cell, grid = _grid(unit_cell, size_nm, path)
     lines = size_nm[:, :1] if grid.diagonal else size_nm
     missed = _left_out_errors(lines, t)
+    if (median := float(np.median(missed))) > _MOST_MISSED:
+        expected = f"amplitudes that vary smoothly, each predicted by its neighbours to {_MOST_MISSED:g} or better"
+        remedy = "is the phase in the unit of its column's name, and the sweep fine enough?"
+        raise InputError.single(str(path), "amplitudes", expected, f"an error of {median:.2g} (median)", remedy)
     values, error = _on_grid(grid, lines, t, missed)
     shape = grid.shape
     t_xx, t_yy = values.T.reshape(2, 1, *shape)
@@ -78,6 +85,7 @@ def import_sweep(
     statistics = BuildStatistics(
         points_solved=len(lines),
         points_total=int(known.sum()),
+        points_left_out=table.left_out,
         max_error=float(error[known].max()),
         sizes_beyond_target=int(np.count_nonzero(error[known] > cell.sweep.target_error)),
         held_out_error=float(missed.max()),

@@ -59,7 +59,8 @@ def read_sweep(path: Path) -> SweepTable:
         raise InputError.single(str(path), "columns", expected, f"the columns {', '.join(columns)}", "rename them")
     for name, t in (("t_xx", t_xx), ("t_yy", t_yy)):
         if t is not None and t.shape != shape:
-            raise InputError.single(str(path), name, f"shape {shape} like the sizes", f"shape {t.shape}")
+            remedy = "transpose it: a row for each length" if t.T.shape == shape else ""
+            raise InputError.single(str(path), name, f"shape {shape} like the sizes", f"shape {t.shape}", remedy)
     size_nm = np.stack([np.broadcast_to(size, shape).ravel() for size in sizes], axis=1)
     t_xx, t_yy = t_xx.ravel(), None if t_yy is None else t_yy.ravel()
     finite = np.isfinite(size_nm).all(axis=1) & np.isfinite(t_xx) & (True if t_yy is None else np.isfinite(t_yy))

@@ -20,6 +20,9 @@ from metafab.phase.pupil import Pupil, phasor
 from metafab.phase.terms.angles import angle
 from metafab.phase.terms.profile import PolarisedTerm
 
+#: A turn with its rounding errors, and the share of samples that may step farther: the outlines of a few zones.
+_LARGEST_STEP_RAD, _STEEP_SHARE = 2.0 * np.pi + 1e-3, 0.01
+
 
 @dataclass(frozen=True)
 class SampledPhase(PolarisedTerm):
@@ -63,18 +66,33 @@ def load_array(
         polarisation: the polarisation that the term acts on; None for both.
 
     Raises:
-        InputError: the file cannot be read, or is not a finite array of that form that covers the aperture.
+        InputError: the file cannot be read, is not a finite array of that form that covers the aperture, or holds other
+            units than radians.
     """
     phase = read_array(file, dataset)
     expected = "finite real numbers of shape (n_y, n_x) or (2, n_y, n_x), at least 2 x 2"
     shape_fits = phase.ndim == 2 or (phase.ndim == 3 and len(phase) == 2)
     if not shape_fits or min(phase.shape[-2:]) < 2 or phase.dtype.kind not in "fiu":
-        raise InputError.single(str(file), "array", expected, f"{phase.dtype} of shape {phase.shape}")
+        remedy = "numpy.angle gives the phase of a field" if phase.dtype.kind == "c" else ""
+        raise InputError.single(str(file), file.name, expected, f"{phase.dtype} of shape {phase.shape}", remedy)
     if lost := int(np.count_nonzero(~np.isfinite(phase))):
-        raise InputError.single(str(file), "array", expected, f"NaN or infinity at {lost} of {phase.size} places")
+        raise InputError.single(str(file), file.name, expected, f"NaN or infinity at {lost} of {phase.size} places")
     require_coverage(file, "pitch_um", 0.5 * min(phase.shape[-2:]) * pitch_um, radius_um)
+    _require_radians(file, phase)
     field = np.exp(1j * np.broadcast_to(phase, (2, *phase.shape[-2:])))
     return SampledPhase(field, pitch_um, polarisation=polarisation)
+
+
+def _require_radians(file: Path, phase: NDArray[np.generic]) -> None:
+    """Refuse (InputError) values of which neighbours differ by more than a turn: degrees, levels, too few samples."""
+    steep = [np.abs(np.diff(phase.astype(np.float64), axis=axis)) > _LARGEST_STEP_RAD for axis in (-2, -1)]
+    share = sum(np.count_nonzero(each) for each in steep) / sum(each.size for each in steep)
+    if share > _STEEP_SHARE:
+        expected = "radians, in steps of less than half a turn from sample to sample (jumps of a turn aside)"
+        values = f"values from {phase.min()} to {phase.max()}"
+        got = f"steps of more than a turn at {100.0 * share:.3g} % of the samples, {values}"
+        remedy = "convert degrees, or levels of a picture, to radians; sample a steep phase more finely"
+        raise InputError.single(str(file), file.name, expected, got, remedy)
 
 
 def require_coverage(file: Path, key: str, reach_um: float, radius_um: float) -> None:

@@ -19,6 +19,7 @@ _TYPES = {
     "int_from_float": "a whole number",
     "int_parsing": "a whole number",
     "float_type": "a number",
+    "float_parsing": "a number",
     "finite_number": "a finite number",
     "bool_type": "true or false",
     "bool_parsing": "true or false",
@@ -44,6 +45,14 @@ def faults_of(error: ValidationError, spec: Any) -> list[Fault]:
         for item in error.errors(include_url=False)
         if item["type"] != "too_short" or len(item["input"]) < int(item["ctx"]["min_length"])
     ]
+
+
+def option_fault(error: ValidationError, otherwise: str) -> str:
+    """Return what is wrong with a number on the command line; ``otherwise`` for errors of other kinds."""
+    item = error.errors(include_url=False)[0]
+    if item["type"] not in _TYPES and not item["type"].startswith(("greater", "less")):
+        return otherwise
+    return f"expected {_expected(item['type'], item['msg'], item.get('ctx', {}))}, got {item['input']}"
 
 
 def _fault(item: Any, spec: Any) -> Fault:

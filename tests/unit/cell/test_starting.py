@@ -74,11 +74,26 @@ def test_finer_solutions_reach_the_phases_that_the_file_states(
     assert begun.efficiency > 0.95
 
 
+def test_a_file_or_an_index_of_ones_own_serves_and_so_do_pillars_of_the_substrate(tmp_path: Path) -> None:
+    """Germanium pillars on germanium at 10.6 um, from a table in another folder than the unit cell."""
+    table = tmp_path / "materials" / "ge.csv"
+    table.parent.mkdir()
+    table.write_text("wavelength_nm,n,k\n10000,4.004,0\n11000,4.002,0\n", encoding="utf-8")
+    begun = starting_cell(10600.0, str(table), substrate="4.0028", shape="circle", folder=tmp_path)
+    cell = _loaded(begun, tmp_path)
+    assert '"materials/ge.csv"' in begun.text and "{ n = 4.0028, k = 0.0 }" in begun.text
+    assert cell.materials.pillar.record == str(table)
+    assert open_orders(cell) == ()
+    assert begun.reach_rad > 4.4
+
+
 def test_what_cannot_work_is_refused() -> None:
     for arguments, message in (
         ((532.0, "unobtainium"), "a material such as"),
         ((2500.0, "TiO2"), "a record with 2500 nm"),
-        ((532.0, "SiO2"), "index above that of the substrate"),
+        ((532.0, "1.2"), "index of 1.3 or more"),
+        ((532.0, "2.4-0.1j"), "n above 0 and k of 0 or more"),
+        ((532.0, "mine.csv"), "no file|No such file"),
     ):
         with pytest.raises(InputError, match=message):
             starting_cell(*arguments)

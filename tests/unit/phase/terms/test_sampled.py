@@ -47,6 +47,19 @@ def test_arrays_are_read_from_all_three_kinds_of_file(tmp_path: Path) -> None:
         np.testing.assert_allclose(term(x_um, y_um, "y"), sign * phase, atol=ANGLE_RAD)
 
 
+def test_degrees_and_levels_of_pictures_are_no_radians(tmp_path: Path) -> None:
+    slope = np.linspace(-30.0, 30.0, 64)
+    phase = -0.02 * (slope[None, :] ** 2 + slope[:, None] ** 2)  # 1.1 rad a sample at most
+    wrapped = wrap_phase(phase)
+    for name, values in (("unwrapped", phase), ("wrapped", wrapped)):
+        np.save(tmp_path / f"{name}.npy", values)
+        load_array(tmp_path / f"{name}.npy", 1.0, "phase_rad", 30.0)
+    for name, values in (("degrees", np.degrees(wrapped)), ("levels", np.uint8(np.mod(phase / np.pi, 2.0) * 127.9))):
+        np.save(tmp_path / f"{name}.npy", values)
+        with pytest.raises(InputError, match=rf"`{name}.npy`: expected radians.*convert degrees, or levels"):
+            load_array(tmp_path / f"{name}.npy", 1.0, "phase_rad", 30.0)
+
+
 def test_arrays_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "small.npy", np.zeros((4, 4)))
     np.save(tmp_path / "hole.npy", np.full((4, 4), np.nan))
