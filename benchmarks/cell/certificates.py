@@ -31,11 +31,11 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from benchmarks.cell.truncation_time import seconds_of_truncation
 from metafab.cell import CellNumerics, PillarCell, curved, solve
 from metafab.cell.pillar import Slice
 from metafab.cell.rcwa.certificate import SlopedDetails
 from metafab.cell.rcwa.convergence import power_law
-from metafab.cell.rcwa.cost import seconds_of_truncation
 from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.cell.rcwa.slicing import smooth
 from metafab.core.conventions import Side

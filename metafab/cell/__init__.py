@@ -16,7 +16,7 @@
 """
 
 from metafab.cell.pillar import PillarCell, Slice
-from metafab.cell.problem import is_square, pillar_cell, seconds_estimate, solve, solve_many
+from metafab.cell.problem import is_square, pillar_cell, solve, solve_many
 from metafab.cell.response import CellNumerics, CellResponse, CellSolver
 
 __all__ = [
@@ -26,7 +26,6 @@ __all__ = [
     "CellNumerics",
     "CellResponse",
     "solve_many",
-    "seconds_estimate",
     "is_square",
     "Slice",
     "CellSolver",

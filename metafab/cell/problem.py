@@ -120,12 +120,6 @@ def _refuse_for_rcwa(cell: PillarCell, numerics: CellNumerics) -> None:
         raise InputError("cell", faults)
 
 
-def seconds_estimate(target_error: float, cell: PillarCell) -> float:
-    """Processor time of one certified cell by the solver that :func:`solve` takes for "rcwa"."""
-    estimate = curved.seconds_estimate if curved.is_treated(cell) else rcwa.seconds_estimate
-    return estimate(target_error, cell)
-
-
 def solve_many(
     cells: Iterable[PillarCell],
     numerics: CellNumerics = CellNumerics(),  # noqa: B008 (frozen)

@@ -6,7 +6,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 #: Least time between two drawings of the bars (s).
 _REDRAW_S = 0.1
+#: Fewest units and seconds that measure the pace of a step. Three of eight kinds of rows; a chunk of cells is four.
+_PACE_UNITS, _PACE_S = 24, 2.0
 
 
 @contextmanager
@@ -56,6 +58,25 @@ def open_work(workers: int | None = None, cluster: str | None = None) -> Iterato
 
     with progress_bars() as progress, measured() as cost:
         yield Work(workers, cluster, progress), cost
+
+
+def pace(progress: Progress, known: Container[str]) -> Progress:
+    """Announce once a step what its first units took, and what the others will take in the steps of a known number."""
+    began: dict[str, tuple[float, float]] = {}
+    announced: set[str] = set()
+
+    def advance(step: str, done: float, total: float) -> None:
+        progress(step, done, total)
+        now_s = time.monotonic()
+        began_s, before = began.setdefault(step, (now_s, done))
+        units, spent_s = done - before, now_s - began_s
+        if step in announced or done >= total or units < _PACE_UNITS or spent_s < _PACE_S:
+            return
+        announced.add(step)
+        left = f"; the other {total - done:g} take about {(total - done) * spent_s / units:.2g} s" * (step in known)
+        announce([f"{step}: {spent_s / units:.2g} s each by the first {units:g}{left}"])
+
+    return advance
 
 
 def show(result: Any, as_json: bool, **further: Any) -> None:

@@ -22,7 +22,7 @@ from metafab.core.further import further_names
 from metafab.library.built import build_file, is_current
 from metafab.library.library import Library, evaluate
 from metafab.library.store import load, save
-from metafab.library.sweep.build import build, estimate_cost
+from metafab.library.sweep.build import build, expected_cells
 from metafab.library.use.check import check
 from metafab.library.use.index_error import index_phase_error_rad
 from metafab.library.use.lookup import SizeTable, build_size_table
@@ -35,7 +35,7 @@ __all__ = [
     "build_file",
     "build_size_table",
     "check",
-    "estimate_cost",
+    "expected_cells",
     "evaluate",
     "index_phase_error_rad",
     "is_current",

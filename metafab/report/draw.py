@@ -238,7 +238,7 @@ def _light(run: RunFolder) -> Iterator[Plan]:
         paint = partial(psf.wavefront_map, front)
         yield Plan(f"wavefront_{front.polarisation}", "Wavefront error over the aperture", paint, (4.0, 3.4), PICTURE)
     if run.outline.forms_images:
-        yield _modulation(pair, merit)
+        yield _modulation(pair, merit, run.psf_source)
     space = None if merit is None else merit.space_variance
     if space is not None and space.tangent_x.size > 1:
         yield Plan("depth_bias", "Depth bias of both polarisations over the field", partial(psf.depth_bias, space))
@@ -250,16 +250,19 @@ def _light(run: RunFolder) -> Iterator[Plan]:
             yield Plan(f"psf_field_{p}", f"PSF of {p} polarisation over the field of view", paint, (4.0, 3.6))
 
 
-def _modulation(pair: Psf, merit: MeritFigures | None) -> Plan:
+def _modulation(pair: Psf, merit: MeritFigures | None, source: str) -> Plan:
+    """Plan of the modulation transfer; its curves are named by their depths, one alone by the ``source``."""
+    depth_m = pair.depth_m.tolist() if merit is None else merit.depth_m
+    names = [depth_text(each) for each in depth_m] if len(depth_m) > 1 else [source]
     if merit is None:
         frequency_per_um, pairs = modulation_transfer(pair)
-        curves = {depth_text(float(pair.depth_m[d])): pairs[0, d] for d in _three(pair.depth_m.size)}
+        curves = {names[d]: pairs[0, d] for d in _three(len(depth_m))}
         return Plan("psf_mtf", "Modulation transfer", partial(psf.modulation, 1e3 * frequency_per_um, curves))
-    transfer, chosen = merit.modulation, _three(len(merit.depth_m))
-    curves = {depth_text(merit.depth_m[d]): transfer.pair_x[d] for d in chosen}
+    transfer, chosen = merit.modulation, _three(len(depth_m))
+    curves = {names[d]: transfer.pair_x[d] for d in chosen}
     lens = [transfer.lens[d] for d in chosen]
     mtf = partial(psf.modulation, transfer.frequency_per_mm, curves, lens=lens)
-    return Plan("psf_mtf", "Modulation transfer, and that of a standard lens", mtf)
+    return Plan("psf_mtf", "Modulation transfer, and that of an ideal lens of equal aperture", mtf)
 
 
 def _three(count: int) -> list[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -26,6 +27,7 @@ from metafab.optics.point_spread import Psf
 from metafab.phase.studies.study import PhaseStudy
 from metafab.spec import Design
 from metafab.spec.light import light_label
+from metafab.spec.terms import forms_images
 from metafab.steps import RunSummary
 
 Loaded = TypeVar("Loaded")
@@ -76,10 +78,22 @@ class DesignOutline:
         return not terms or own or bool({"spiral_zones", "double_helix"} & terms)
 
     @property
+    def own_light(self) -> str:
+        """Light of the unit cell in words, which one figure of several lights is for; empty for one light."""
+        several = bool(self.lights) and self.wavelength_nm is not None
+        return f"{self.wavelength_nm:.12g} nm along the axis" if several else ""
+
+    def is_parallel(self, depth_m: float) -> bool:
+        """Whether a point at this depth lights the aperture as an infinite one does, to a hundredth of a wave."""
+        if self.aperture_um is None or self.wavelength_nm is None:
+            return depth_m == math.inf
+        rim_um = self.aperture_um**2 / (8e6 * depth_m)
+        return rim_um < 1e-5 * self.wavelength_nm
+
+    @property
     def forms_images(self) -> bool:
         """Whether the device is made to image points: not a hologram, not a deflector; assumed if unknown."""
-        focuses = bool({"lens", "split_lens", "array"} & set(self.terms))
-        return not self.terms or (focuses and "hologram" not in self.terms)
+        return not self.terms or forms_images(self.terms)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
@@ -202,3 +202,8 @@ PhaseTerm = Annotated[
     | Picture,
     Field(discriminator="term"),
 ]
+
+
+def forms_images(terms: Collection[str]) -> bool:
+    """Whether a device of terms of these names images points: a lens or a phase of one's own, and no hologram."""
+    return not {"lens", "split_lens", "radial", "array"}.isdisjoint(terms) and "hologram" not in terms

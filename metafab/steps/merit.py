@@ -21,7 +21,7 @@ from metafab.core.storage.tables import optional, typed
 from metafab.spec import Design, Light
 from metafab.spec.design import Measured
 from metafab.spec.light import light_label
-from metafab.spec.terms import Lens, Picture, Radial, SplitLens
+from metafab.spec.terms import Lens, Picture, Radial, SplitLens, forms_images
 from metafab.steps.job import Job, Step, in_folder, light_tangent, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
@@ -51,12 +51,12 @@ class ModulationFigures:
 
 @dataclass(frozen=True)
 class LossChainFigures:
-    """Factors between the light at the aperture and the light through the pinhole."""
+    """Factors between the light at the aperture and that in a pinhole, a picture's frame, or the target wave."""
 
     depth_m: float  #: Verified depth nearest to the focus depth, in vergence.
     wavefront: Wavefront  #: Overlap of the written field with the target wave.
     losses: tuple[Loss, ...]  #: The factors, in order.
-    efficiency: tuple[float, ...]  #: Share of the light through the pinhole, x and y polarisation.
+    efficiency: tuple[float, ...]  #: Share of the light at the end of the chain, x and y polarisation.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +89,7 @@ class MeritFigures:
     depth_of_field_dioptre: tuple[float, ...]
     extinction_ratio: tuple[float, ...]  #: Wanted over unwanted power, for each depth.
     modulation: ModulationFigures  #: Modulation transfer.
-    loss_chain: LossChainFigures  #: Losses from the aperture to the pinhole.
+    loss_chain: LossChainFigures  #: Losses from the aperture to the image.
     space_variance: SpaceVarianceFigures | None  #: Aberrations over the field; None without a field.
     measured: Measured | None  #: Values measured on the fabricated device; None if the design states none.
     #: See :class:`metafab.core.figures.FocusFigures`; this and the next four are copies of ``focus``.
@@ -102,8 +102,8 @@ class MeritFigures:
     #: misses or cuts the light: it compares what strays into the window with what strays there from the target phases.
     relative_peak_x: tuple[float, ...] | None = optional()
     relative_peak_y: tuple[float, ...] | None = optional()
-    #: Share of the light at the aperture in the frame of a hologram's picture at the focus depth, mean over pictures
-    #: and their polarisations; None without a picture, and where the window does not hold it.
+    #: Share of the light at the aperture in the frame of a hologram's picture at the focus depth, mean over the
+    #: polarisations whose picture the window holds; None without any.
     picture_efficiency: float | None = optional()
     focus: FocusFigures | None = optional()  #: The focus of a lens; None for other devices.
     #: Wavefront of a lens at the focus depth, for each polarisation that it focuses; None for other devices and where
@@ -198,27 +198,30 @@ def _merit(job: Job) -> MeritFigures:
     figures = replace(
         typed(MeritFigures, table),
         **_focus(job, imaging),
-        picture_efficiency=_picture_efficiency(job.design, written),
+        picture_efficiency=_mean_share(_framed(job.design, written)),
     )
     write_json(job.folder / "merit.json", figures)
     return figures
 
 
-def _picture_efficiency(design: Design, written: Psf) -> float | None:
-    """Share of the light within the frames of the pictures; None without one, or beside the window."""
+def _framed(design: Design, psf: Psf) -> FloatArray:
+    """Share of the light within the frames of the pictures, shape (2,); NaN without one, or beside the window."""
     from metafab.optics.measures.metrics import frame_efficiency
 
-    depth = _focus_index(design, written)
-    shares: list[float] = []
-    for term in design.phase:
+    depth, shares = _focus_index(design, psf), np.full(2, np.nan)
+    # A window that was moved is not centred on the picture.
+    for term in design.phase if design.verify.centre_um is None else ():
         if isinstance(term, Picture):
             rows, columns = read_grey(term.file).shape
-            share = frame_efficiency(written, term.width_um, term.width_um * rows / columns)[:, depth]
-            shares += [share[i] for i, p in enumerate(POLARISATIONS) if term.polarisation in (None, p)]
-    # A window that was moved is not centred on the picture.
-    if not shares or design.verify.centre_um is not None or not np.isfinite(shares).all():
-        return None
-    return float(np.mean(shares))
+            share = frame_efficiency(psf, term.width_um, term.width_um * rows / columns)[:, depth]
+            own = [term.polarisation in (None, p) for p in POLARISATIONS]
+            shares = np.where(own, share, shares)
+    return shares
+
+
+def _mean_share(shares: FloatArray) -> float | None:
+    """Mean over the polarisations that have a picture; None without any."""
+    return float(np.nanmean(shares)) if np.isfinite(shares).any() else None
 
 
 def _focus_index(design: Design, psf: Psf) -> int:
@@ -319,12 +322,18 @@ def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: FloatArray, ideal_pa
     transmitted = _transmitted(written)
     open_ahead = optics.Apodisation.of(job.design) is None and job.design.substrate is None
     stopped = None if open_ahead else _transmitted(ideal)
-    losses = loss_chain(front, transmitted, passed[:, depth], ideal_passed[:, depth], kept, stopped)
+    end: dict[str, Any] = {}
+    framed = [_framed(job.design, psf) for psf in (written, ideal)]
+    if np.isfinite(framed).all():
+        end = {"passed": framed[0], "ideal_passed": framed[1], "opening": "frame of the picture"}
+    elif job.design.measured is not None or forms_images([term.term for term in job.design.phase]):
+        end = {"passed": passed[:, depth], "ideal_passed": ideal_passed[:, depth]}
+    losses = loss_chain(front, transmitted, coupling=kept, stopped=stopped, **end)
     table = {
         "depth_m": written.depth_m[depth],
         "wavefront": front,
         "losses": losses,
-        "efficiency": passed[:, depth] * (1.0 if kept is None else kept),
+        "efficiency": np.prod([loss.factor for loss in losses if loss.factor is not None], axis=0),
     }
     return typed(LossChainFigures, table)
 

@@ -53,6 +53,24 @@ def test_a_terminal_gets_a_bar_for_each_step(monkeypatch: pytest.MonkeyPatch) ->
     assert "library" in drawn and "layout" in drawn
 
 
+def test_what_is_left_is_foretold_by_the_first_units_where_their_number_is_known(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clock = iter(range(1000))
+    monkeypatch.setattr(console.time, "monotonic", lambda: 0.5 * next(clock))
+    seen: list[float] = []
+    progress = console.pace(lambda _step, done, _total: seen.append(done), {"library"})
+    for step, total in (("library", 100), ("library over its axes", 100), ("short", 20)):
+        for done in range(4, total + 1, 4):
+            progress(step, done, total)
+    assert len(seen) == 25 + 25 + 5
+    # Four cells in half a second; the 24 after the first four take three seconds.
+    assert capsys.readouterr().err.splitlines() == [
+        "metafab: library: 0.12 s each by the first 24; the other 72 take about 9 s",
+        "metafab: library over its axes: 0.12 s each by the first 24",
+    ]
+
+
 def test_json_is_one_object_with_arrays_and_paths_as_plain_values(capsys: pytest.CaptureFixture[str]) -> None:
     console.show({"t": np.array([1.0 + 2.0j]), "file": Path("a/b"), "count": np.int64(3), "n": float("nan")}, True)
     said = capsys.readouterr()

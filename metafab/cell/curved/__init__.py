@@ -11,6 +11,6 @@
 
 from metafab.cell.curved.layers import zero_order
 from metafab.cell.curved.mesh import is_treated, untreated
-from metafab.cell.curved.solve import CurvedDetails, seconds_estimate, solve
+from metafab.cell.curved.solve import CurvedDetails, solve
 
-__all__ = ["CurvedDetails", "is_treated", "seconds_estimate", "solve", "untreated", "zero_order"]
+__all__ = ["CurvedDetails", "is_treated", "solve", "untreated", "zero_order"]

@@ -17,7 +17,6 @@ its other elements follow from it (:mod:`metafab.cell.curved.mesh`).
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import dataclass, replace
 
@@ -26,7 +25,6 @@ import numpy as np
 from metafab.cell.curved.layers import zero_order
 from metafab.cell.curved.mesh import quarter_mesh
 from metafab.cell.pillar import PillarCell
-from metafab.cell.rcwa.cost import seconds_of_truncation
 from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.cell.response import CellNumerics, CellResponse, SolverDetails
 from metafab.core.errors import SolverError
@@ -66,8 +64,6 @@ _UNRESOLVED_GROWTH = 3.0
 _NOT_CONVERGING = 0.1
 #: Coarsest order.
 _COARSE = 3
-#: Processor time over that of RCWA with as many unknowns.
-_OVER_RCWA = 1.5
 
 
 @dataclass(frozen=True)
@@ -154,12 +150,3 @@ def bound(order: int, changes: list[float], cell: PillarCell) -> float:
     ratio = max(cell.width_nm, cell.length_nm) / min(cell.width_nm, cell.length_nm)
     growth *= min(max(1.0, ratio / _LONG), _LONG_GROWTH)
     return max(growth * floor, growth * implied, 1.0 if changes[-1] > _NOT_CONVERGING or not is_resolved[0] else 0.0)
-
-
-def seconds_estimate(target_error: float, cell: PillarCell) -> float:
-    """Processor time of one certified cell: the orders up to the first whose floor allows the target, as RCWA's."""
-    quads, claims = quarter_mesh(cell).quads, _CLAIMS_OF.get(cell.shape, _CLAIMS)
-    last = min((order for order, (floor, _) in claims.items() if floor <= target_error), default=max(claims))
-    # 2 p q functions an element are the (M + 1)^2 + M^2 coefficients of M cosines.
-    counts = [sum(math.prod(quad.orders(order)) for quad in quads) for order in range(_COARSE, last + 1)]
-    return _OVER_RCWA * sum(seconds_of_truncation(round(count**0.5 - 0.5), cell) for count in counts)

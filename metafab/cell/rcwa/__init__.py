@@ -10,13 +10,11 @@
 - ``certificate``  adaptive truncation, and the bound on the error
 - ``diffraction``  efficiencies of single orders
 - ``derivatives``  derivatives by sizes, height and index
-- ``cost``         processor time of a solution, by a measured curve
 """
 
 from typing import TYPE_CHECKING
 
 from metafab.cell.rcwa.certificate import RcwaDetails, solve
-from metafab.cell.rcwa.cost import seconds_estimate
 from metafab.cell.rcwa.diffraction import diffraction, diffracts, efficiencies, propagating_orders
 from metafab.cell.rcwa.jones import zero_order
 from metafab.core.further import further_names
@@ -28,7 +26,6 @@ __all__ = [
     "diffracts",
     "efficiencies",
     "propagating_orders",
-    "seconds_estimate",
     "RcwaDetails",
 ]
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from metafab.cli.app import Cluster, Json, Output, TargetError, UnitCellFile, Workers, app, library_app
-from metafab.cli.console import announce, coverage_warning, open_work, show
+from metafab.cli.console import announce, coverage_warning, open_work, pace, show
 from metafab.core.errors import Fault, InputError
 from metafab.core.storage.tables import optional
 
@@ -119,25 +119,22 @@ def library_build(
     """Build a library: sweep width and length until every size is within the target error."""
     from metafab import library
     from metafab.cell.open_orders import open_orders
-    from metafab.core.parallel.executor import default_workers
     from metafab.core.storage.files import plain
-    from metafab.library.neighbours.training import estimate_seconds
     from metafab.library.store import statistics_json
     from metafab.spec import load_unit_cell
 
     spec = load_unit_cell(unit_cell)
     path = output or unit_cell.with_suffix(".h5")
     announce(order.sentence() for order in open_orders(spec))
-    estimate = library.estimate_cost(spec, target_error=target_error)
-    if estimate is not None:
-        least, most = (seconds / (workers or default_workers()) for seconds in estimate.seconds)
-        cells = "{} to {} cells".format(*estimate.cells)
-        announce([f"{cells} are expected, {least:.2g} to {most:.2g} s" + (" a core" if cluster else "")])
+    few, many = library.expected_cells(spec)
+    announce([f"{few} cells are solved" if few == many else f"{few} to {many} cells are expected"])
     if spec.neighbours is not None:
-        seconds = estimate_seconds(spec) / (workers or default_workers())
-        announce([f"{spec.neighbours.rows} rows of unlike pillars for each direction and light, about {seconds:.2g} s"])
+        announce([f"{spec.neighbours.rows} rows of unlike pillars are solved for each direction and light"])
+    # Resonances decide how many of the other cells are solved.
+    known = {"library", "rows of unlike pillars"} if few == many else {"rows of unlike pillars"}
     with open_work(workers, cluster) as (work, cost), work.processes() as executor:
-        built = library.build_file(spec, path, target_error=target_error, executor=executor, progress=work.progress)
+        progress = pace(work.progress, known)
+        built = library.build_file(spec, path, target_error=target_error, executor=executor, progress=progress)
     quality = library.quality(built)
     announce(coverage_warning(quality.coverage_rad))
     announce(built.warnings())

@@ -62,11 +62,6 @@ _MARGIN = 1.15
 _FLOOR = 5e-3
 #: Rows solved again at a resolution higher by so much, to measure the error of the rows themselves.
 _CHECKED_ROWS, _FINER = 3, 1.0
-#: Processor time of a row of one pillar and one polarisation, and its growth with the number of pillars that are drawn:
-#: measured 0.5 s for 5, 1.2 s for 7 and 2.6 s for 9 (rows of 18 that are their own mirror images).
-_PILLAR_SECONDS, _GROWTH = 0.006, 2.78
-#: Processor time of all fits of a chain over its number of rows (s).
-_FIT_SECONDS = 0.26
 
 
 def inputs_of_training(unit_cell: UnitCell) -> str:
@@ -84,15 +79,6 @@ def inputs_of_rows(library: Library) -> str:
     drawn = [hashlib.sha256(each.size_nm.tobytes() + each.t.tobytes()).hexdigest() for each in samplers]
     code = sources_sha256(("metafab.library.neighbours.rows",), ())
     return fingerprint([each.cell for each in samplers], drawn, ROW_KINDS, RESOLUTION, code)
-
-
-def estimate_seconds(unit_cell: UnitCell) -> float:
-    """Expected processor time of a training, in s; divide by the number of workers. 0 without one."""
-    if unit_cell.neighbours is None:
-        return 0.0
-    row = sum(_PILLAR_SECONDS * kind.drawn**_GROWTH for kind in ROW_KINDS) / len(ROW_KINDS)
-    chains = 2 if _shares_directions(unit_cell) else 4
-    return float((row + _FIT_SECONDS) * unit_cell.neighbours.rows * chains)
 
 
 def train(

@@ -59,6 +59,7 @@ class PointSolver:
     executor: Executor  #: Runs the solver.
     record: Checkpoint  #: Checkpoint of the solved cells.
     progress: Progress  #: Called after every chunk.
+    step: str = "library"  #: Name of this sampling for the progress.
 
     def __call__(self, numbers: IndexArray, expected_total: int) -> dict[int, SolvedPoint]:
         """Solve cells by their numbers, shape (n,); return their answers by number.
@@ -75,7 +76,7 @@ class PointSolver:
         for _, points in stream(self.executor, work, chunks, ahead=ahead):
             self.record.add(points)
             known.update({point.number: point for point in points})
-            self.progress("library", len(self.record.points), max(expected_total, len(self.record.points)))
+            self.progress(self.step, len(self.record.points), max(expected_total, len(self.record.points)))
         return {int(number): known[int(number)] for number in numbers}
 
 

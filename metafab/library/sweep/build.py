@@ -1,4 +1,4 @@
-"""Build a library to a target error, in memory or as a file; a killed build can continue. Estimate its cost."""
+"""Build a library to a target error, in memory or as a file; a killed build can continue."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from metafab.cell import CellNumerics, CellSolver, pillar_cell, seconds_estimate, solve
+from metafab.cell import CellNumerics, CellSolver, solve
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.figures import BuildStatistics
 from metafab.core.parallel.executor import SerialExecutor
 from metafab.core.parallel.progress import Progress, silent
-from metafab.library.axes import CornerBox, corner_cell, corner_unit_cell
+from metafab.library.axes import CornerBox, corner_unit_cell
 from metafab.library.corners import Corners
 from metafab.library.fit.size_grid import SizeGrid
 from metafab.library.library import BuildTime, Library, inputs_of
@@ -39,9 +39,7 @@ MODEL_SHARE = 0.4
 FITTED_SOLVER_ERROR = 2e-3
 #: Fewest and most cells of a build over sizes. Measured: about 200 for silicon at 940 and 800 nm, and about 1000 for
 #: titanium dioxide at 532 nm, whose many guided modes have little loss.
-FEW_CELLS, MANY_CELLS = 180, 1100
-#: Solver time of a resonant cell over that of an average cell, at most.
-RESONANT_COST = 5.0
+_FEW_CELLS, _MANY_CELLS = 180, 1100
 
 
 @dataclass(frozen=True)
@@ -51,14 +49,6 @@ class BuildNumerics:
     every_size: bool = False  #: Solve every distinct size of the grid, none by a model.
     off_grid: RoundLimits = field(default_factory=RoundLimits)  #: Rounds between the sizes of the grid.
     corners: CornerNumerics = field(default_factory=CornerNumerics)  #: Sampling over the axes of the sweep.
-
-
-@dataclass(frozen=True)
-class BuildCost:
-    """Expected cost of a build."""
-
-    cells: tuple[int, int]  #: Least and largest number of unit cells to solve.
-    seconds: tuple[float, float]  #: Least and largest processor time without fits; divide by the number of workers.
 
 
 def build(
@@ -111,28 +101,17 @@ def build_lone(
     return built
 
 
-def estimate_cost(unit_cell: UnitCell, *, target_error: float | None = None) -> BuildCost | None:
-    """Estimate the cells and the processor time of a build; None for Meep, whose time varies far more."""
-    if unit_cell.solver.name != "rcwa":
-        return None
-    unit_cell = with_target(unit_cell, target_error)
-    solver_error = solver_target(unit_cell)
-    distinct = SizeGrid.of(unit_cell).distinct.size
-    few, many = min(FEW_CELLS, distinct), min(MANY_CELLS, distinct)
-    width_nm, length_nm = (0.5 * sum(span) for span in (unit_cell.sweep.width_nm, unit_cell.sweep.length_nm))
-    cell_s = seconds_estimate(solver_error, pillar_cell(unit_cell, width_nm, length_nm))
-    least, most = few * cell_s, RESONANT_COST * many * cell_s
-    box = CornerBox.of(unit_cell)
-    if box is not None:
-        few_corners, many_corners = (
-            each * box.dimensions for each in (CornerNumerics.first_round, CornerNumerics.most_cells)
-        )
-        corner = {name: high for name, (_, high) in box.spans.items()}
-        solver_error = SOLVER_SHARE * unit_cell.sweep.target_error
-        cell_s = seconds_estimate(solver_error, corner_cell(unit_cell, width_nm, length_nm, corner))
-        least, most = least + few_corners * cell_s, most + RESONANT_COST * many_corners * cell_s
-        few, many = few + few_corners, many + many_corners
-    return BuildCost((few, many), (least, most))
+def expected_cells(unit_cell: UnitCell) -> tuple[int, int]:
+    """Least and largest number of unit cells that a build solves; equal where it solves every size.
+
+    In between, the number of resonances decides. What a cell takes is measured on the first ones of a build.
+    """
+    grid, box = SizeGrid.of(unit_cell), CornerBox.of(unit_cell)
+    distinct = grid.distinct.size
+    is_exact = grid.diagonal or distinct <= FIRST_ROUND
+    few, many = (distinct, distinct) if is_exact else (min(_FEW_CELLS, distinct), min(_MANY_CELLS, distinct))
+    dimensions = 0 if box is None else box.dimensions
+    return few + CornerNumerics.first_round * dimensions, many + CornerNumerics.most_cells * dimensions
 
 
 def solver_target(unit_cell: UnitCell, *, every_size: bool = False) -> float:
@@ -184,7 +163,7 @@ def _build(
         off_grid = sampler.sample_steep_places(off_grid, (SOLVER_SHARE + MODEL_SHARE) * target)
         if (box := CornerBox.of(unit_cell)) is not None:
             sequence = CornerSequence(unit_cell, box, sampler.end_number, numerics.corners.sequence)
-            points = replace(sizes, cell_of=sequence.cell, numerics=cell_numerics)
+            points = replace(sizes, cell_of=sequence.cell, numerics=cell_numerics, step="library over its axes")
             corners = sample_corners(grid, box, sequence, sampling.solved, points, tolerance, numerics.corners)
     progress("library", len(record.points), len(record.points))
     library = _library(unit_cell, sampling, off_grid, sampler.certified_errors(off_grid), corners)

@@ -1,11 +1,12 @@
-"""Loss chain of a written mask: the factors of its efficiency, from the aperture to a pinhole about the image.
+"""Loss chain of a written mask: the factors of its efficiency, from the aperture to the image.
 
 The field behind the pillars is the target wave, u = exp(i target phase), times c = <a u*>, plus a rest that is
 orthogonal to it. |c|^2 is the share of the light in the target wave. It is the product of the transmittance, the
 overlap that the library allows with continuous sizes, the loss by snapping to the size grid, and the loss at the rim,
 where no whole cell fits. Full-wave rows of the mask give a further loss by coupling between unlike neighbours. The
-target wave loses the light that misses the pinhole, and some of the rest enters it. The factors multiply to the
-efficiency of the written mask, which is measured independently.
+target wave loses the light that misses an opening, a pinhole or the frame of a hologram's picture, and some of the rest
+enters it. The factors multiply to the efficiency of the written mask, which is measured independently. The chain of a
+deflector ends with the target wave.
 """
 
 from __future__ import annotations
@@ -63,42 +64,46 @@ def wavefront(
 def loss_chain(
     front: Wavefront,
     transmitted: FloatArray,
-    through_pinhole: FloatArray,
-    ideal_through_pinhole: FloatArray,
+    passed: FloatArray | None = None,
+    ideal_passed: FloatArray | None = None,
     coupling: float | None = None,
     stopped: FloatArray | None = None,
+    opening: str = "pinhole",
 ) -> list[Loss]:
-    """Return the factors from the aperture to the pinhole.
+    """Return the factors from the aperture to an opening about the image, or to the target wave.
 
     Args:
         front: overlap of the transmitted light with the target wave.
         transmitted: shape (2,), share of the light at the aperture that the pillars transmit.
-        through_pinhole: shape (2,), share that passes the pinhole behind the written mask, by the library.
-        ideal_through_pinhole: shape (2,), share that passes the pinhole behind the target phases.
+        passed: shape (2,), share that passes the opening behind the written mask, by the library; None for no opening.
+        ideal_passed: shape (2,), share that passes the opening behind the target phases.
         coupling: efficiency of full-wave rows over that of the same rows by the library; None if not measured.
         stopped: shape (2,), share that passes a substrate, stop or amplitude before the pillars and keeps its
             polarisation, which is contained in ``transmitted`` and both efficiencies; None for none.
+        opening: name of the opening.
 
     Returns:
-        Losses whose factors multiply to ``through_pinhole`` times ``coupling``.
+        Losses whose factors multiply to ``passed``, or to the share in the target wave, times ``coupling``.
     """
     overlap, best = np.array(front.overlap), np.array(front.best_overlap)
     before = [] if stopped is None else [_loss("substrate, stop and amplitude before the pillars", stopped)]
     if stopped is not None:
-        transmitted, ideal_through_pinhole = transmitted / stopped, ideal_through_pinhole / stopped
-        through_pinhole = through_pinhole / stopped
+        transmitted = transmitted / stopped
     # Dark sites reduce the power by their share, and the peak of the image by its square.
     wanted = transmitted * overlap * front.filled
-    return [
+    losses = [
         *before,
         _loss("through the pillars", transmitted),
         _loss("wave that the library can follow", best),
         _loss("sizes snapped to the grid", overlap / best),
         Loss("rim without whole cells", (front.filled, front.filled)),
         Loss("unlike neighbours, full-wave", None if coupling is None else (coupling, coupling)),
-        _loss("target phases through the pinhole", ideal_through_pinhole),
-        _loss("stray light into the pinhole", through_pinhole / (wanted * ideal_through_pinhole)),
     ]
+    if passed is not None and ideal_passed is not None:
+        ideally, share = (each if stopped is None else each / stopped for each in (ideal_passed, passed))
+        losses.append(_loss(f"target phases through the {opening}", ideally))
+        losses.append(_loss(f"stray light into the {opening}", share / (wanted * ideally)))
+    return losses
 
 
 def _loss(stage: str, factor: FloatArray) -> Loss:

@@ -76,7 +76,7 @@ def pair_over_depth(psf: Psf, axes: Axes, *, arrows: bool = True) -> Axes:
             arrow = {"arrowstyle": "->", "color": "#7fe3c4", "linewidth": 1.3, "shrinkA": 0, "shrinkB": 0}
             if arrows:
                 axes.annotate("", tip, (x, y), arrowprops=arrow)
-            if row == 0:
+            if row == 0 and psf.depth_m.size > 1:
                 above: dict[str, Any] = {"textcoords": "offset points", "fontsize": 9.5, "color": INK}
                 axes.annotate(depth_text(float(psf.depth_m[depth])), (x - reach, y + reach), (0, 7), **above)
         name: dict[str, Any] = {"fontsize": 9, "color": POLARISATION_COLOUR[polarisation], "rotation": 90}
@@ -134,7 +134,9 @@ def over_field(psf: Psf, axes: Axes, polarisation: Polarisation) -> Axes:
     side = 2 * half + 1
     mosaic = lit.transpose(0, 2, 1, 3).reshape(rows * side, columns * side)
     show_map(axes, mosaic, (0.0, columns, 0.0, rows), cmap=LIGHT_MAP, vmin=0.0, interpolation="bilinear")
-    title = f"PSF of {polarisation} over the field, {depth_text(float(psf.depth_m[psf.depth_m.size // 2]))}"
+    title = f"PSF of {polarisation} over the field"
+    if psf.depth_m.size > 1:
+        title += f", {depth_text(float(psf.depth_m[psf.depth_m.size // 2]))}"
     dress(axes, "object direction x / °", "object direction y / °", title, POLARISATION_COLOUR[polarisation])
     axes.set_xticks(np.arange(columns) + 0.5, _degrees(psf.field.tangent_x))
     axes.set_yticks(np.arange(rows) + 0.5, _degrees(psf.field.tangent_y))
@@ -175,14 +177,14 @@ def modulation(
 ) -> Axes:
     """Draw the modulation transfer over spatial frequency on the sensor, shape (n,).
 
-    ``curves`` and ``lens``, those of a standard lens, hold the transfer, shape (n,), by the name of its depth.
+    ``curves`` hold the transfer, shape (n,), by name, ``lens`` that of an ideal lens at the same depths.
     """
     for transfer, style in zip(lens, ("-", "--", ":"), strict=False):
-        label = "standard lens" if style == "-" else None
+        label = "ideal lens of this aperture" if style == "-" else None
         axes.plot(frequency_per_mm, transfer, color=IDEAL, linewidth=1.2, linestyle=style, label=label)
     for (name, transfer), style in zip(curves.items(), ("-", "--", ":"), strict=False):
         axes.plot(frequency_per_mm, transfer, color=X_COLOUR, linewidth=1.5, linestyle=style, label=name)
-    dress(axes, "spatial frequency / mm⁻¹", "modulation transfer", "MTF of x, mean over directions")
+    dress(axes, "spatial frequency / mm⁻¹", "modulation transfer", "MTF, x polarised, mean over directions")
     axes.set(xlim=(0.0, float(frequency_per_mm[-1])), ylim=(0.0, 1.0))
     return finished(axes)
 

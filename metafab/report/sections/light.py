@@ -10,6 +10,7 @@ from metafab.report import html
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import depth_text
+from metafab.spec.light import light_label
 from metafab.steps.layout import LayoutFigures
 from metafab.steps.merit import LightsFigures, MeritFigures
 
@@ -35,7 +36,8 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
     if run.psf is None:
         return html.section("psf", "Point-spread functions", html.note(run.notes.get("psf", "no PSF")))
     several = run.psf.depth_m.size > 1
-    text = f"Simulated from {_SOURCE[run.outline.has_mask]}. The crosshairs mark the geometric image point"
+    text = f"Simulated from {_SOURCE[run.outline.has_mask]}{_illumination(run, run.psf.depth_m.tolist())}. "
+    text += "The crosshairs mark the geometric image point"
     text += "; the arrows point from it to the maximum." if run.has_lobe else "."
     lacks_ideal = run.ideal_psf is None and run.outline.has_mask
     return html.section(
@@ -46,13 +48,22 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
         _viewer(several),
         html.wide(html.figure(drawn["psf_pair"])) if "psf_pair" in drawn else "",
         html.figures(drawn, *(("psf_orientation", "psf_peak") if several else ()), "psf_focus", "psf_mtf"),
-        "" if run.summary.merit is None else _merit(run.summary.merit, has_lobe=run.has_lobe),
+        "" if run.summary.merit is None else _merit(run.summary.merit, run),
         "" if run.summary.lights is None else _lights(run.summary.lights, run.summary.layout),
         html.figures(drawn, "wavefront_x", "wavefront_y"),
         html.figures(drawn, "psf_field_x", "psf_field_y"),
         html.figures(drawn, "depth_bias", "distortion"),
         html.note(run.notes.get("ideal_psf", "no PSF of the target phases")) if lacks_ideal else "",
     )
+
+
+def _illumination(run: RunFolder, depth_m: list[float]) -> str:
+    """Light of the PSFs in words: that of the unit cell where there are several, and the depth where there is one."""
+    several = f", at {run.outline.own_light}" if run.outline.own_light else ""
+    if len(depth_m) > 1:
+        return several
+    is_parallel = run.outline.is_parallel(*depth_m)
+    return several + (", in parallel light" if is_parallel else f", of objects {depth_text(*depth_m)} away")
 
 
 def _viewer(several: bool) -> str:
@@ -65,8 +76,8 @@ def _viewer(several: bool) -> str:
         '<figcaption class="x">x polarisation</figcaption></figure>'
         '<figure><canvas data-pol="1" role="img" aria-label="PSF of y polarisation"></canvas>'
         '<figcaption class="y">y polarisation</figcaption></figure></div>'
-        '<div class="controls"><label>Object depth <output class="depth"></output>'
-        f'<input type="range" min="0" step="1" value="0"{still}></label>'
+        f'<div class="controls"><label{still}>Object depth <output class="depth"></output>'
+        '<input type="range" min="0" step="1" value="0"></label>'
         '<div class="choice" role="group" aria-label="Source of the PSFs"></div>'
         f'<button type="button" class="play" aria-pressed="false"{still}>Play</button></div>'
         '<p class="readout" aria-live="polite"></p></div>'
@@ -92,7 +103,7 @@ def _focus(focus: FocusFigures) -> str:
     text = (
         f"Focus at NA {focus.numerical_aperture:.3g}, beside the ideal flat lens of the aperture. Widths: of the "
         "electric energy density, in unpolarised light unless named. Strehl ratio, encircled energy: per transmitted "
-        "power; the circle is the first dark ring of Airy."
+        "power; the circle has the radius of a round lens' first dark ring."
     )
     return html.table(["", "written mask", "limit"], rows, ["", "n", "n"]) + html.paragraph(text, "caption")
 
@@ -100,12 +111,13 @@ def _focus(focus: FocusFigures) -> str:
 def _lights(figures: LightsFigures, layout: LayoutFigures | None) -> str:
     """Efficiency, focus and library error in each light that the mask serves; focus figures along the axis alone."""
     mapped = {
-        (light.wavelength_nm, light.angle_x_deg, light.angle_y_deg): light.figures.library_error
-        for light in (layout and layout.lights) or ()
+        light_label(each.wavelength_nm, each.angle_x_deg, each.angle_y_deg): each.figures
+        for each in (layout and layout.lights) or ()
     }
     rows = [
         [
             light.label,
+            _share(mapped[light.label].efficiency if light.label in mapped else math.nan),
             _share(0.5 * sum(pair[0] for pair in (light.pair.efficiency_x, light.pair.efficiency_y))),
             _share(0.5 * (light.ideal_efficiency_x[0] + light.ideal_efficiency_y[0])),
             *(
@@ -117,14 +129,16 @@ def _lights(figures: LightsFigures, layout: LayoutFigures | None) -> str:
                     _share(light.focus.strehl),
                 ]
             ),
-            html.number(mapped.get((light.wavelength_nm, light.angle_x_deg, light.angle_y_deg)), 2),
+            html.number(mapped[light.label].library_error if light.label in mapped else None, 2),
         ]
         for light in figures.lights
     ]
-    head = ["light", "efficiency", "of the target phases", "FWHM / µm", "limit / µm", "Strehl ratio", "library error"]
+    head = ["light", "wanted wave", "window", "of the target phases", "FWHM / µm", "limit / µm", "Strehl ratio"]
+    head.append("library error")
     text = (
-        "Wavelengths and directions that the mask serves, at the first depth, mean of both polarisations. Efficiency: "
-        "share of the light at the aperture in the window. Library error: bound on complex t, rms over the pillars. "
+        "Wavelengths and directions that the mask serves, at the first depth, mean of both polarisations. Shares "
+        "of the light at the aperture: in the wanted wave by the mapping, in the window, and there by the target "
+        "phases. Library error: bound on complex t, rms over the pillars. "
         "Widths and Strehl ratios are those of a lens' light along the axis."
     )
     return html.table(head, rows, ["", *["n"] * (len(head) - 1)]) + html.paragraph(text, "caption")
@@ -137,12 +151,12 @@ def _both(first: float, second: float) -> str:
 def _aberrations(fronts: tuple[AberrationFigures, ...]) -> str:
     """Wavefront of a lens: rms and the first Zernike coefficients of each polarisation."""
     rows = [
-        ["rms", *(html.number(front.rms_waves) for front in fronts)],
+        ["rms", *(_waves(front.rms_waves) for front in fronts)],
         *(
-            [f"{number}, {name}", *(html.number(round(front.noll_waves[number - 1], 9) + 0.0) for front in fronts)]
+            [f"{number}, {name}", *(_waves(front.noll_waves[number - 1]) for front in fronts)]
             for number, name in enumerate(_NOLL, start=2)
         ),
-        ["what 36 polynomials leave", *(html.number(front.residual_waves) for front in fronts)],
+        ["what 36 polynomials leave", *(_waves(front.residual_waves) for front in fronts)],
         ["Strehl ratio of the phase", *(_share(front.strehl_of_phase) for front in fronts)],
     ]
     text = (
@@ -154,29 +168,30 @@ def _aberrations(fronts: tuple[AberrationFigures, ...]) -> str:
     return html.table(head, rows, ["", *["n"] * len(fronts)]) + html.paragraph(text, "caption")
 
 
-def _merit(merit: MeritFigures, *, has_lobe: bool) -> str:
+def _merit(merit: MeritFigures, run: RunFolder) -> str:
     """Figures of merit over depth, and measured values of the fabricated device."""
+    has_lobe, forms_images = run.has_lobe, run.outline.forms_images
     focus = "" if merit.focus is None else _focus(merit.focus)
     focus += "" if merit.aberrations is None else _aberrations(merit.aberrations)
     if merit.focus is not None and len(merit.depth_m) == 1:
         return focus + _measured(merit)
-    head = ["depth", "efficiency x", "efficiency y", "peak x", "peak y", "extinction"]
-    head += ["lobe x / µm", "lobe y / µm"] if has_lobe else []
+    head = ["efficiency x", "efficiency y"] if forms_images else []
+    head = ["depth", *head, "peak x", "peak y", "extinction", *(["lobe x / µm", "lobe y / µm"] if has_lobe else [])]
+    passed = (merit.pinhole_efficiency_x, merit.pinhole_efficiency_y) if forms_images else ()
     rows = [
         [
             escape(depth_text(depth)),
-            _share(merit.pinhole_efficiency_x[d]),
-            _share(merit.pinhole_efficiency_y[d]),
+            *(_share(shares[d]) for shares in passed),
             *(_share(math.nan if peak is None else peak[d]) for peak in (merit.relative_peak_x, merit.relative_peak_y)),
             _ratio(merit.extinction_ratio[d]),
             *(html.number(size) for size in merit.main_lobe_x_um[d] if has_lobe),
         ]
         for d, depth in enumerate(merit.depth_m)
     ]
-    text = (
-        f"Efficiency: share of the light at the aperture that passes a pinhole of {merit.pinhole_um:g} µm. Peak: "
-        "relative to the target phases."
-    )
+    text = "Peak: relative to the target phases."
+    if forms_images:
+        pinhole = f"a pinhole of {merit.pinhole_um:.3g} µm"
+        text = f"Efficiency: share of the light at the aperture that passes {pinhole}. {text}"
     if has_lobe:
         text += " Lobe: position of the main lobe of PSF_x, from the image point."
     if has_lobe and len(rows) > 1:
@@ -258,6 +273,11 @@ def _corner(name: str) -> str:
         return name.replace("_", " ")
     text, unit = _CORNERS[key]
     return f"{text} {value.replace('-', '−')}{unit}"
+
+
+def _waves(value: float) -> str:
+    """A wavefront error with four decimals; adding zero removes the minus sign of -0.0."""
+    return f"{round(value, 4) + 0.0:.4f}".replace("-", "−")
 
 
 def _share(value: float) -> str:

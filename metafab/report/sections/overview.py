@@ -6,15 +6,20 @@ import math
 from collections.abc import Sequence
 from html import escape
 
+from metafab.core.figures import LightMapping
 from metafab.report import html
 from metafab.report.accounts import loss_chain
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
+from metafab.spec.light import light_label
 from metafab.spec.terms import Grating, PhaseTerm
-from metafab.steps.merit import MeritFigures
+from metafab.steps.layout import LayoutFigures
+from metafab.steps.merit import LightFigures, LightsFigures, MeritFigures
 
 #: Mean relative depth error below which the headline is marked as good.
 _GOOD_DEPTH_ERROR = 0.01
+#: Most lights whose figures are listed one by one.
+_LISTED_LIGHTS = 3
 
 
 def headlines(run: RunFolder) -> str:
@@ -31,7 +36,9 @@ def headlines(run: RunFolder) -> str:
             items.append(html.headline(f"{abs(rotation):.0f}°", "rotation of the PSF pair over the depths"))
     if summary.picture is not None:
         items.append(html.headline(f"{100 * summary.picture[0]:.0f}\u202f%", f"of the light {summary.picture[1]}"))
-    if summary.merit is not None and run.outline.forms_images and nmae is None:
+    if summary.lights is not None and run.outline.forms_images:
+        items += _lights(summary.lights, summary.layout)
+    elif summary.merit is not None and run.outline.forms_images and nmae is None:
         items += _focus(summary.merit)
     terms = () if run.design is None else run.design.phase
     if summary.layout is not None and terms and all(isinstance(term, Grating) for term in terms):
@@ -49,6 +56,39 @@ def _orders(gratings: Sequence[PhaseTerm]) -> str:
     (grating, *others) = gratings
     at = f" at {grating.angle_deg:g}°" if isinstance(grating, Grating) and not others else ""
     return f"of the light in the wanted order{at}"
+
+
+def _lights(figures: LightsFigures, layout: LayoutFigures | None) -> list[str]:
+    """Share of each light in the wanted wave, and the Strehl ratio of each focus along the axis."""
+    mapped = [(each, each.figures.efficiency) for each in (layout and layout.lights) or ()]
+    strehl = [(each, each.focus.strehl) for each in figures.lights if each.focus is not None]
+    items = []
+    if mapped:
+        lights, shares = zip(*mapped, strict=True)
+        text = _listed([100 * share for share in shares], "{:.0f}") + "\u202f%"
+        items.append(html.headline(text, f"of the light in the wanted wave at {_labels(lights)}"))
+    if strehl:
+        lights, ratios = zip(*strehl, strict=True)
+        items.append(html.headline(_listed(ratios, "{:.2f}"), f"Strehl ratio at {_labels(lights)}"))
+    return items
+
+
+def _listed(values: Sequence[float], pattern: str) -> str:
+    """Up to three values one by one, more by their range."""
+    if len(values) > _LISTED_LIGHTS:
+        return f"{pattern.format(min(values))} to {pattern.format(max(values))}"
+    return " · ".join(map(pattern.format, values))
+
+
+def _labels(lights: Sequence[LightFigures | LightMapping]) -> str:
+    """Wavelengths of light along the axis, directions of light of one wavelength, or both."""
+    if len(lights) > _LISTED_LIGHTS:
+        return f"{len(lights)} lights"
+    if not any(light.angle_x_deg or light.angle_y_deg for light in lights):
+        return ", ".join(f"{light.wavelength_nm:g}" for light in lights) + " nm"
+    if len({light.wavelength_nm for light in lights}) == 1 and not any(light.angle_y_deg for light in lights):
+        return ", ".join(f"{light.angle_x_deg:g}°" for light in lights)
+    return "; ".join(light_label(light.wavelength_nm, light.angle_x_deg, light.angle_y_deg) for light in lights)
 
 
 def _focus(merit: MeritFigures) -> list[str]:
@@ -97,6 +137,7 @@ def accounts(run: RunFolder, drawn: Drawn) -> str:
         "accounts",
         "Losses of light, and sources of error",
         html.figures(drawn, *figures),
+        html.paragraph(f"Losses of light at {run.outline.own_light}.", "caption") if run.outline.own_light else "",
         "" if loss_chain(run) else html.note(run.notes.get("psf", "the run holds no efficiencies: no loss chain")),
         html.table(["source", "error", "unit", "measurement"], rows, ["", "n"], "stack")
         if rows

@@ -195,8 +195,8 @@ def test_one_depth_alone_is_not_drawn_over_depth(full_run: RunFolder) -> None:
     one = compose(replace(full_run, psf=nearest), drawn)
     assert all(f"<svg>{name}</svg>" in several for name in drawn)
     assert [name for name in drawn if f"<svg>{name}</svg>" in one] == ["psf_pair", "psf_mtf"]
-    assert 'value="0" hidden' in one
-    assert 'value="0" hidden' not in several
+    assert "<label hidden>Object depth" in one
+    assert "<label hidden>" not in several
 
 
 @pytest.mark.parametrize(("ripple_rad", "shown"), [(0.0, False), (2.0 * np.pi, False), (0.3, True)])

@@ -69,6 +69,20 @@ def test_factors_multiply_to_what_passes() -> None:
     assert np.prod([loss.factor for loss in unmeasured if loss.factor], axis=0) == pytest.approx(passed)
 
 
+def test_the_chain_of_a_deflector_ends_with_the_target_wave_and_a_holograms_with_its_frame() -> None:
+    front = Wavefront((0.95, 0.96), (0.0, 0.0), (0.98, 0.97), 0.99, 100)
+    transmitted, passed = np.array([0.9, 0.88]), np.array([0.70, 0.72])
+    deflector = loss_chain(front, transmitted)
+    wanted = transmitted * front.overlap * 0.99
+    assert np.prod([loss.factor for loss in deflector if loss.factor], axis=0) == pytest.approx(wanted)
+    assert not any("pinhole" in loss.stage for loss in deflector)
+    hologram = loss_chain(front, transmitted, passed, np.array([0.93, 0.94]), opening="frame of the picture")
+    assert [loss.stage for loss in hologram[-2:]] == [
+        "target phases through the frame of the picture",
+        "stray light into the frame of the picture",
+    ]
+
+
 def test_the_chain_of_a_mapped_lens_closes(smooth_library: Library, small_design: Design) -> None:
     """Little of the light that is in no wanted wave falls into the pinhole: the last factor is nearly 1."""
     device = replace(small_design.device, aperture_um=70.0, focal_length_mm=0.35)

@@ -125,15 +125,15 @@ def test_a_cluster_runs_meep_in_its_own_processes(
     assert sorted(_runs(tmp_path)) == sorted(2 * runs)
 
 
-def test_what_a_build_takes_is_foreseen(unit_cell: UnitCell) -> None:
-    ahead = library.estimate_cost(unit_cell, target_error=2e-3)
-    assert ahead is not None
-    assert 0.0 < ahead.seconds[0] < ahead.seconds[1]
+def test_the_number_of_cells_is_stated_alone_where_every_size_is_solved(unit_cell: UnitCell) -> None:
+    assert library.expected_cells(unit_cell) == (180, 1100)
     small = replace(unit_cell, sweep=replace(unit_cell.sweep, width_nm=(100.0, 104.0), length_nm=(100.0, 104.0)))
-    few = library.estimate_cost(small, target_error=2e-3)
-    assert few is not None
-    assert few.cells == (6, 6)
-    assert library.estimate_cost(replace(unit_cell, solver=replace(unit_cell.solver, name="meep"))) is None
+    assert library.expected_cells(small) == (6, 6)
+    circles = replace(unit_cell, cell=replace(unit_cell.cell, shape="circle"))
+    assert library.expected_cells(circles) == (76, 76)
+    # Two sizes and an angle.
+    tilted = replace(unit_cell, sweep=replace(unit_cell.sweep, axes=Axes(angle_x_deg=(0.0, 4.0))))
+    assert library.expected_cells(tilted) == (180 + 3 * 96, 1100 + 3 * 400)
 
 
 def test_the_solver_gets_the_share_of_a_model_only_where_there_is_none(unit_cell: UnitCell) -> None:
@@ -157,14 +157,6 @@ def test_a_loose_library_of_the_real_solver_takes_fewer_sizes_than_a_tight_one(u
     assert built.statistics.points_solved < 200
     assert built.error.max() < 1e-2
     assert library.check(built, samples=8, seed=4).beyond_stated == 0
-
-
-def test_axes_count_in_what_is_foreseen(unit_cell: UnitCell) -> None:
-    tilted = replace(unit_cell, sweep=replace(unit_cell.sweep, axes=Axes(angle_x_deg=(0.0, 4.0))))
-    plain, oblique = (library.estimate_cost(cell, target_error=2e-2) for cell in (unit_cell, tilted))
-    assert plain is not None
-    assert oblique is not None
-    assert oblique.seconds[0] > 5.0 * plain.seconds[0]
 
 
 def test_a_record_that_does_not_cover_the_axis_is_refused_before_any_cell_is_solved(unit_cell: UnitCell) -> None:

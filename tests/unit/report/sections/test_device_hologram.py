@@ -13,18 +13,19 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from metafab.core.figures import PhaseFigures
+from metafab.core.figures import FocusFigures, LightMapping, PhaseFigures
 from metafab.core.parallel.progress import silent
 from metafab.library.library import Library
 from metafab.report.draw import draw
 from metafab.report.figures import phases as figures
-from metafab.report.run_folder import RunFolder
+from metafab.report.run_folder import DesignOutline, RunFolder
 from metafab.report.sections.device import phases
 from metafab.report.sections.images import imaging
 from metafab.report.sections.light import point_spread
 from metafab.report.sections.overview import accounts, headlines
 from metafab.spec import load_design, write_new
-from metafab.steps.merit import MeritFigures
+from metafab.steps.merit import LightFigures, LightsFigures, MeritFigures
+from metafab.steps.optics import PairFigures
 from tests.closed_form_run import closed_form_run, turning_psf
 
 
@@ -77,6 +78,43 @@ def test_a_focus_without_a_width_has_none_in_the_headline(run: RunFolder) -> Non
     summary = dataclasses.replace(run.summary, merit=cast(MeritFigures, merit), decode=None, phase=None)
     own = dataclasses.replace(run, summary=summary, outline=dataclasses.replace(run.outline, terms=("lens", "array")))
     assert "0.020" in headlines(own) and "nan" not in headlines(own)
+
+
+def test_a_mask_for_several_lights_has_its_figures_in_each_of_them(run: RunFolder) -> None:
+    """The page's headline was the light of the unit cell alone."""
+    own = run.summary.layout
+    assert own is not None
+
+    def page(*lights: tuple[float, float]) -> str:
+        mapped = [
+            LightMapping(nm, 1.0, (0.0, 0.0), dataclasses.replace(own, efficiency=0.6 + 0.1 * n), x_deg)
+            for n, (nm, x_deg) in enumerate(lights)
+        ]
+        focus = cast(FocusFigures, SimpleNamespace(strehl=0.8))
+        pair = cast(PairFigures, None)
+        seen = [
+            LightFigures(nm, "psf.h5", pair, (0.9,), (0.8,), None if x_deg else focus, x_deg) for nm, x_deg in lights
+        ]
+        layout = dataclasses.replace(own, lights=tuple(mapped))
+        summary = dataclasses.replace(run.summary, layout=layout, lights=LightsFigures(tuple(seen)), decode=None)
+        outline = dataclasses.replace(run.outline, terms=("lens",))
+        return headlines(dataclasses.replace(run, summary=summary, outline=outline))
+
+    colours = page((460.0, 0.0), (540.0, 0.0), (640.0, 0.0))
+    assert "60 · 70 · 80\u202f%</b><span>of the light in the wanted wave at 460, 540, 640 nm<" in colours
+    assert "0.80 · 0.80 · 0.80</b><span>Strehl ratio at 460, 540, 640 nm<" in colours
+    directions = page((633.0, 0.0), (633.0, 10.0))
+    assert "wanted wave at 0°, 10°<" in directions and "0.80</b><span>Strehl ratio at 633 nm<" in directions
+    assert "60 to 90\u202f%</b><span>of the light in the wanted wave at 4 lights<" in page(
+        *((500.0 + 10.0 * n, 0.0) for n in range(4))
+    )
+
+
+def test_the_outline_knows_what_images_and_what_stands_at_infinity() -> None:
+    assert DesignOutline(terms=("radial",)).forms_images and not DesignOutline(terms=("grating",)).forms_images
+    small, large = (DesignOutline(aperture_um=um, wavelength_nm=800.0) for um in (100.0, 50_000.0))
+    # Rims of 2e-6 and 0.39 waves.
+    assert small.is_parallel(1000.0) and not large.is_parallel(1000.0) and large.is_parallel(math.inf)
 
 
 def test_a_maximum_on_the_windows_edge_has_no_arrows_but_a_note(run: RunFolder) -> None:
