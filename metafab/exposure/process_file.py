@@ -17,13 +17,13 @@ from metafab.exposure.beside_lens import read_lenses
 from metafab.exposure.electrons.process import beam_psf, exposure_process
 from metafab.exposure.fit import MeasuredLens, Parameter, ProcessFit, fit_process
 from metafab.layout.outlines import Outline
-from metafab.mask.measured import read_measured
+from metafab.mask.measured import MeasuredTable, read_measured
 from metafab.spec import Design, UnitCell, canonical_toml
 from metafab.spec.keys.faults import faults_of
 from metafab.spec.mask import Etch, ExposureProcess, Process
 
 #: Columns of the table whose means become properties of the etch.
-_CORNER = ("height_nm", "sidewall_angle_deg", "corner_radius_nm")
+_ETCHED = ("height_nm", "sidewall_angle_deg", "corner_radius_nm")
 
 
 @dataclass(frozen=True)
@@ -56,29 +56,46 @@ def fitted_process(
             read, with places without a pillar, doses that are not positive or means that no pillar has; or sizes that
             do not determine the parameters.
     """
-    outline, shape, unavailable = Outline.of(design), design.unit_cell.cell.shape, "not available with the fit"
-    classes = Fault("mask.dose", "one dose for all pillars", "dose classes", "fit a mask without them")
-    corners = Fault("mask.draw_corners", "rectangles with sharp corners", "true", unavailable)
-    curved = Fault("cell.shape", "'rectangle'", repr(shape), unavailable)
-    refused = [
-        (design.mask.dose is not None, classes),
-        (outline.shape == "rounded", corners),
-        (shape in {"circle", "ellipse"}, curved),
-    ]
-    start = exposure_process(design, [fault for holds, fault in refused if holds])
-    measured = read_measured(table, ("copy", "dose", "focus_um", *_CORNER))
-    corner: dict[str, Any] = {
-        name: round(float(np.mean(values)), 3) for name, values in measured.further.items() if name in _CORNER
+    start = exposure_process(design, _unfit(design))
+    measured = read_measured(table, ("copy", "dose", "focus_um", *_ETCHED))
+    means: dict[str, Any] = {
+        name: round(float(np.mean(values)), 3) for name, values in measured.further.items() if name in _ETCHED
     }
-    etch, unit_cell = _made(design, corner, table)
-    numbers = measured.further.get("copy", np.full(len(measured.size_nm), float(copy)))
-    doses = measured.further.get("dose", np.ones(len(measured.size_nm)))
+    etch, unit_cell = _etched(design, means, table)
+    fit = fit_process(_measured_lenses(measured, mask_file, design, start, copy, work), start, free, etch, work)
+    known = "" if start.source == "assumption" else f"{start.source}; "
+    source = f"{known}fit of {', '.join(free)} to {fit.sizes} sizes of {table.name} at {fit.doses} doses"
+    changes = {"bias_nm": round(fit.bias_nm.value, 4), "microloading_nm": round(fit.microloading_nm.value, 4)}
+    process = Process(exposure=_exposure(start, fit, source), etch=replace(etch, **changes, source=source))
+    return FittedProcess(fit, process, unit_cell)
+
+
+def _unfit(design: Design) -> list[Fault]:
+    """Keys of a design that the fit does not know."""
+    mask, shape, unavailable = design.mask, design.unit_cell.cell.shape, "not available with the fit"
+    faults = []
+    if mask.dose is not None:
+        faults.append(Fault("mask.dose", "one dose for all pillars", "dose classes", "fit a mask without them"))
+    if Outline.of(design).shape == "rounded":
+        faults.append(Fault("mask.draw_corners", "rectangles with sharp corners", "true", unavailable))
+    if shape in {"circle", "ellipse"}:
+        faults.append(Fault("cell.shape", "'rectangle'", repr(shape), unavailable))
+    return faults
+
+
+def _measured_lenses(
+    measured: MeasuredTable, mask_file: Path, design: Design, start: ExposureProcess, copy: int, work: Work
+) -> list[MeasuredLens]:
+    """Rows of a table by lens of the mask and by focus, each with its dose."""
+    rows = len(measured.size_nm)
+    numbers = measured.further.get("copy", np.full(rows, float(copy)))
+    doses = measured.further.get("dose", np.ones(rows))
     # A lens without a stated focus is in the best one, as in :func:`metafab.steps.exposure.expose_mask`.
     stated_um = 0.0 if design.mask.copies else start.best_focus_um
-    focuses = measured.further.get("focus_um", np.full(len(measured.size_nm), stated_um))
+    focuses = measured.further.get("focus_um", np.full(rows, stated_um))
     if (doses <= 0.0).any() or (numbers != np.rint(numbers)).any():
         expected = "positive doses, and whole numbers of copies"
-        raise InputError.single(str(table), "rows", expected, f"dose {doses.min():g}, copy {numbers.min():g}")
+        raise InputError.single(str(measured.path), "rows", expected, f"dose {doses.min():g}, copy {numbers.min():g}")
     lenses, range_nm = [], float(beam_psf(start).range_nm.max())
     for number in np.unique(numbers).astype(int).tolist():
         (read,), _ = read_lenses(mask_file, design, number, range_nm, work.progress)
@@ -86,17 +103,12 @@ def fitted_process(
         around = read.beside and read.beside.per_dose(read.dose)
         for focus_um in np.unique(focuses[numbers == number]).tolist():
             here = (numbers == number) & (focuses == focus_um)
-            rows = measured.part(here)
-            sites = rows.sites(read.pillars)
-            rows.require_each_once(sites, doses[here])
-            exposed = doses[here] * read.dose, rows.size_nm, focus_of_lens_um + focus_um
+            part = measured.part(here)
+            sites = part.sites(read.pillars)
+            part.require_each_once(sites, doses[here])
+            exposed = doses[here] * read.dose, part.size_nm, focus_of_lens_um + focus_um
             lenses.append(MeasuredLens(read.pillars, sites, *exposed, beside=around))
-    fit = fit_process(lenses, start, free, etch, work)
-    known = "" if start.source == "assumption" else f"{start.source}; "
-    source = f"{known}fit of {', '.join(free)} to {fit.sizes} sizes of {table.name} at {fit.doses} doses"
-    changes = {"bias_nm": round(fit.bias_nm.value, 4), "microloading_nm": round(fit.microloading_nm.value, 4)}
-    process = Process(exposure=_exposure(start, fit, source), etch=replace(etch, **changes, source=source))
-    return FittedProcess(fit, process, unit_cell)
+    return lenses
 
 
 def process_files(path: Path, fitted: FittedProcess) -> tuple[Path, ...]:
@@ -130,18 +142,18 @@ def save_process(fitted: FittedProcess, path: Path) -> tuple[Path, ...]:
     return files
 
 
-def _made(design: Design, corner: dict[str, Any], table: Path) -> tuple[Etch, UnitCell | None]:
-    """Etch and unit cell with the means of a table's columns; None for a table without such columns."""
+def _etched(design: Design, means: dict[str, Any], table: Path) -> tuple[Etch, UnitCell | None]:
+    """Etch and unit cell with ``means`` of the columns of a table; no unit cell if there are none."""
     etch = design.process.etch if design.process is not None and design.process.etch is not None else Etch()
-    if not corner:
+    if not means:
         return etch, None
     try:
-        made = replace(etch, **corner)
-        return made, replace(design.unit_cell, cell=replace(design.unit_cell.cell, **corner))
+        made = replace(etch, **means)
+        return made, replace(design.unit_cell, cell=replace(design.unit_cell.cell, **means))
     except ValidationError as error:
-        means = ", ".join(f"{name} {value:g}" for name, value in corner.items())
+        listed = ", ".join(f"{name} {value:g}" for name, value in means.items())
         faults = [
-            replace(fault, field=fault.field if fault.field in corner else ", ".join(corner), got=f"a mean of {means}")
+            replace(fault, field=fault.field if fault.field in means else ", ".join(means), got=f"a mean of {listed}")
             for fault in faults_of(error, Etch)
         ]
         raise InputError(str(table), faults) from error

@@ -57,42 +57,45 @@ def write(
 ) -> tuple[WrittenFile, ...]:
     """Write masks ``layout.gds`` and ``.oas`` (of ``mask.formats``), ``layout.lyp`` and ``layout.json``; return all.
 
-    Where doses are known, of ``mask.copies`` or of classes, ``doses.csv``, ``.jdi`` and ``.txt`` give that of each
-    datatype; with ``mask.exposure``, ``fields.csv`` lists the write fields in order. With ``dose_datatypes``, and "gds"
-    among ``mask.formats``, ``doses.gds`` is the mask with doses in thousandths as datatypes.
+    A design with several doses also gets the dose of each datatype as ``doses.csv``, ``.jdi`` and ``.txt``, one with
+    ``mask.exposure`` the order of its write fields as ``fields.csv``.
 
     Equal pillars and designs give equal bytes. Only a few tiles are held in memory. Files appear under their names only
     when complete.
 
     Pillars are drawn with ``mask.bias_nm``, on one datatype for each class of ``mask.dose``. The top cell also holds
     the shapes of ``mask.chip`` and ``mask.tone``, and one lens for each of ``mask.copies``. Options that the design
-    leaves out change no byte. A file of an earlier call in a format that is no longer in ``mask.formats`` is removed,
-    because ``layout.json`` would not describe it; likewise tables of doses and ``doses.gds``.
+    leaves out change no byte. A file of an earlier call that this one does not write is removed, because
+    ``layout.json`` would not describe it.
 
-    ``mapping`` is for ``layout.json``, ``class_dose`` that of each class relative to the base dose, shape (classes,),
-    if known. Other arguments and errors as :func:`write_drawings`.
+    Further arguments and errors are those of :func:`write_drawings`.
+
+    Args:
+        mapping: figures of the mapping, for ``layout.json``.
+        class_dose: shape (classes,), dose of each class relative to the base dose; None if it is not known.
+        dose_datatypes: whether ``doses.gds``, the mask with doses in thousandths as datatypes, is written; needs "gds"
+            in ``mask.formats``.
     """
     files: dict[str, Path] = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
     figures = write_drawings(pillars, files, design, progress, executor, dose_class)
-    with whole_file(directory / "layout.lyp") as part:
-        part.write_text(layer_properties(design), encoding="utf-8")
     tables = {"fields.csv": figures.fields.table()} if figures.fields is not None else {}
     tables |= dose_tables(design, class_dose)
-    for name, lines in tables.items():
+    texts = {"layout.lyp": layer_properties(design)}
+    texts |= {name: "\n".join([*lines, ""]) for name, lines in tables.items()}
+    for name, text in texts.items():
         with whole_file(directory / name) as part:
-            part.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    for other in {"fields.csv", DOSE_DATATYPES, *DOSE_TABLES} - tables.keys():
-        (directory / other).unlink(missing_ok=True)
+            part.write_text(text, encoding="utf-8")
+    table = sidecar(design, figures, files)
+    write_json(directory / "layout.json", table if mapping is None else {**table, "mapping": dict(mapping)})
+    written = [*(path.name for path in files.values()), "layout.lyp", "layout.json", *sorted(tables)]
     if dose_datatypes:
         doses = datatype_doses(design, class_dose)
         write_dose_datatypes(files["gds"], directory / DOSE_DATATYPES, design.mask.layer, doses)
-    for other in WRITERS.keys() - files.keys():
-        (directory / f"layout.{other}").unlink(missing_ok=True)
-    table = sidecar(design, figures, files)
-    write_json(directory / "layout.json", table if mapping is None else {**table, "mapping": dict(mapping)})
-    names = ("layout.lyp", "layout.json", *sorted(tables), *((DOSE_DATATYPES,) if dose_datatypes else ()))
-    paths = [*files.values(), *(directory / name for name in names)]
-    return tuple(WrittenFile(path, path.stat().st_size) for path in paths)
+        written.append(DOSE_DATATYPES)
+    earlier = {*(f"layout.{suffix}" for suffix in WRITERS), "fields.csv", DOSE_DATATYPES, *DOSE_TABLES}
+    for name in earlier.difference(written):
+        (directory / name).unlink(missing_ok=True)
+    return tuple(WrittenFile(path, path.stat().st_size) for path in map(directory.joinpath, written))
 
 
 def table_names(design: Design) -> tuple[str, ...]:

@@ -67,6 +67,7 @@ def _worst_hole(t: ComplexArray, targets: FloatArray) -> tuple[FloatArray, Float
     if t.size == 0:
         return np.full(targets.shape[:-1], math.pi), np.zeros(2)
     turn = 2.0 * math.pi
+    # Twice: a tiny negative phase becomes a whole turn first, which the tree refuses.
     phase = np.asarray(np.mod(np.mod(np.angle(t), turn), turn), dtype=np.float64)
     tree = cKDTree(phase, boxsize=np.array([turn, turn]))
     distance = np.asarray(tree.query(targets, p=np.inf)[0], dtype=np.float64)

@@ -1,4 +1,4 @@
-"""Runs of RECTANGLE records of OASIS, which hold nearly all of a mask -> rectangles, by a compiled loop."""
+"""Compiled loop over runs of OASIS RECTANGLE records, which hold nearly all shapes of a mask."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def _copy(target: NDArray[np.int64], source: NDArray[np.int64]) -> None:
 
 @compiled
 def _read_fields(data: ByteArray, here: int, info: int, state: NDArray[np.int64]) -> int:
-    """Read the fields of a RECTANGLE that ``info`` announces; return the position behind them, or -1."""
+    """Read the fields that the bits SWHXYRDL of ``info`` announce; return the position behind them, or -1."""
     for bit, field_of_state in ((1, 0), (2, 1), (64, 4), (32, 5)):
         if here >= 0 and info & bit and not (bit == 32 and info & 128):
             state[field_of_state], here = read_unsigned(data, here)

@@ -81,7 +81,7 @@ class Ray:
         return np.asarray(amplitude)
 
     def jones_factor(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
-        """Return the entry of the crystal's Jones matrix over the lens, relative to the ordinary wave; 1 without.
+        """Return ``entry`` of the crystal's Jones matrix over the lens; 1 without a crystal.
 
         The matrix is smooth: it is computed on Chebyshev points and interpolated to ascending x, shape (n_x,), and y:
         shape (n_y, n_x).
