@@ -57,12 +57,16 @@ def wrap_phase(phase_rad: ArrayLike) -> FloatArray:
 
 
 def covered_rad(phase_rad: FloatArray, within_rad: float = 0.1) -> float:
-    """Part of the phase circle, rad, at most ``within_rad`` from one of the phases, shape (n,) in (-pi, pi]."""
+    """Part of the phase circle, rad, within reach of one of the phases, shape (n,) in (-pi, pi].
+
+    The reach is ``within_rad``, or pi / n where that is more: a few phases that go evenly round cover the circle.
+    """
     if phase_rad.size == 0:
         return 0.0
     ordered = np.sort(phase_rad)
     gaps = np.diff(ordered, append=ordered[:1] + 2.0 * math.pi)
-    return 2.0 * math.pi - float(np.sum(np.maximum(gaps - 2.0 * within_rad, 0.0)))
+    reach_rad = max(within_rad, math.pi / phase_rad.size)
+    return 2.0 * math.pi - float(np.sum(np.maximum(gaps - 2.0 * reach_rad, 0.0)))
 
 
 def image_distance_mm(focal_length_mm: float, depth_m: float) -> float:

@@ -53,7 +53,7 @@ class NewLens:
         feature_nm = min(low for low, _ in spans_nm)
         if hole_nm := unit_cell.cell.hole_nm(feature_nm):
             feature_nm, gap_nm = 0.5 * (feature_nm - hole_nm), min(gap_nm, hole_nm)
-        pixel_um = min(0.5, 1e-3 * unit_cell.illumination.wavelength_nm / (8.0 * self.numerical_aperture))
+        pixel_um = 1e-3 * unit_cell.illumination.wavelength_nm / (8.0 * self.numerical_aperture)
         return {
             "numerical_aperture": f"{self.numerical_aperture:g}",
             "aperture_um": f"{self.aperture_um:.10g}" if self.aperture_um % 1.0 else f"{self.aperture_um:.1f}",

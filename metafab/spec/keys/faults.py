@@ -83,6 +83,8 @@ def _unknown_choice(field: str, choices: str, got: Any) -> Fault:
     remedy = near(got, known) if isinstance(got, str) else ""
     if field.endswith(".term") and any(word in str(got).lower() for word in _GEOMETRIC):
         remedy = "pillars stand upright and give x and y polarisation their phases; `metafab stokes` turns pillars"
+    if field.endswith(".shape") and "hex" in str(got).lower():
+        remedy = '`cell.lattice = "hexagonal"` sets pillars, round ones for instance, on a hexagonal lattice'
     return Fault(field, choices, _got(got) if got != "" else "nothing", remedy)
 
 

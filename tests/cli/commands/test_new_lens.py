@@ -46,6 +46,8 @@ def test_a_lens_of_rings_has_rules_for_walls_and_holes(tmp_path: Path) -> None:
     assert design.rules.min_feature_nm == 0.5 * (narrowest_nm - cell.inner_diameter_nm)
     assert design.rules.min_gap_nm <= cell.inner_diameter_nm
     assert design.min_side_nm == narrowest_nm
+    # Coarser than the half micrometre of visible light; 64 pixels then hold the dark rings at any wavelength.
+    assert design.sensor.pixel_um == pytest.approx(1.55 / 0.2 / 8.0, rel=0.01)
     text = (tmp_path / "own_cell.toml").read_text(encoding="utf-8")
     (tmp_path / "own_cell.toml").write_text(text.replace('"ring"', '"circle"'), encoding="utf-8")
     answer = metafab("layout", tmp_path / "own.toml")

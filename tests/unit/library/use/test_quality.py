@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metafab.core.conventions import covered_rad
 from metafab.library import Library
 from metafab.library.use.quality import coverage_rad, quality
 
@@ -49,3 +50,13 @@ def test_coverage_and_the_worst_hole_are_those_of_a_full_search(smooth_library: 
     phases = figures.worst_hole_phase_y_rad, figures.worst_hole_phase_x_rad
     hole = [round(phase % (2.0 * math.pi) / (2.0 * math.pi) * 128) for phase in phases]
     assert nearest[hole[0] % 128, hole[1] % 128] == pytest.approx(nearest.max(), abs=1e-12)
+
+
+def test_nine_sizes_whose_phases_go_round_reach_nearly_the_whole_turn() -> None:
+    """Pillars of gallium nitride, 80 to 160 nm wide in steps of 10 nm: gaps of 1.08 rad at most, no short reach."""
+    phase_rad = np.array([-1.821, -1.423, -0.898, -0.230, 0.603, 1.619, 2.699, -2.529, -1.606])
+    gaps = np.diff(np.sort(phase_rad), append=np.sort(phase_rad)[0] + 2.0 * math.pi)
+    open_rad = sum(gap - 2.0 * math.pi / 9.0 for gap in gaps if gap > 2.0 * math.pi / 9.0)
+    assert covered_rad(phase_rad) == pytest.approx(2.0 * math.pi - open_rad)
+    assert covered_rad(phase_rad) > 0.75 * 2.0 * math.pi
+    assert covered_rad(np.linspace(0.0, 1.0, 9)) < 0.3 * 2.0 * math.pi

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.spec import Design, Device, Mask
+from metafab.spec import Design, Device, Mask, UnitCell
 from metafab.spec.toml import validate
 
 DEVICE: dict[str, Any] = {"aperture_um": 100.0, "focal_length_mm": 1.0}
@@ -35,6 +35,7 @@ def _message(spec: Any, table: dict[str, Any]) -> str:
         (Mask, {"layer": 1.5}, "`layer`: expected a whole number, got 1.5"),
         (Design, {"phase": [{"term": "spiral_zone"}]}, "did you mean `spiral_zones`?"),
         (Design, {"phase": [{"term": "geometric"}]}, "pillars stand upright"),
+        (UnitCell, {"cell": {"shape": "hexagon"}}, "on a hexagonal lattice"),
         (Design, {"phase": [{}]}, "`phase[0].term`: expected the name of a phase term, got nothing"),
         (Design, {"phase": {"term": "lens"}}, "expected a list of tables, each headed [[phase]], got one table"),
         (Design, {"phase": [{"term": "lens", "object_depth": 1}]}, "did you mean `object_depth_m`?"),
