@@ -81,6 +81,7 @@ def test_the_version_is_that_of_the_code() -> None:
     """One source: stale metadata of an installation in place used to be printed."""
     answer = metafab("--version")
     assert (answer.code, answer.stdout) == (0, f"metafab {__version__}\n")
+    assert subprocess.check_output([sys.executable, "-m", "metafab", "--version"], cwd=ROOT, text=True) == answer.stdout
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert project["version"] == __version__
 

@@ -17,7 +17,7 @@ PACKAGE = Path(__file__).parents[2] / "metafab"
 ORDER = [
     *("core", "spec", "materials", "information", "cell", "library", "phase", "layout", "mask", "drc", "exposure"),
     *("optics", "fullwave", "camera", "decode", "comparison", "tolerance", "steps", "benchmark", "report"),
-    *("run", "rehearsal", "doctor", "cli"),
+    *("run", "rehearsal", "doctor", "cli", "__main__"),
 ]
 
 #: module -> the only files that may import it

@@ -1,0 +1,5 @@
+"""``python -m metafab`` is ``metafab``."""
+
+from metafab.cli import main
+
+main()
