@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from html import escape
 
+from metafab.core.conventions import POLARISATIONS
 from metafab.core.figures import AberrationFigures, FocusFigures
 from metafab.report import html
 from metafab.report.html import Drawn
@@ -175,19 +176,21 @@ def _merit(merit: MeritFigures, run: RunFolder) -> str:
     focus += "" if merit.aberrations is None else _aberrations(merit.aberrations)
     if merit.focus is not None and len(merit.depth_m) == 1:
         return focus + _measured(merit)
-    head = ["efficiency x", "efficiency y"] if forms_images else []
-    head = ["depth", *head, "peak x", "peak y", "extinction", *(["lobe x / µm", "lobe y / µm"] if has_lobe else [])]
-    passed = (merit.pinhole_efficiency_x, merit.pinhole_efficiency_y) if forms_images else ()
-    rows = [
-        [
-            escape(depth_text(depth)),
-            *(_share(shares[d]) for shares in passed),
-            *(_share(math.nan if peak is None else peak[d]) for peak in (merit.relative_peak_x, merit.relative_peak_y)),
-            _ratio(merit.extinction_ratio[d]),
-            *(html.number(size) for size in merit.main_lobe_x_um[d] if has_lobe),
-        ]
-        for d, depth in enumerate(merit.depth_m)
-    ]
+    peaks = (merit.relative_peak_x, merit.relative_peak_y)
+    columns: dict[str, list[str]] = {}
+    if len(merit.depth_m) > 1:
+        columns["depth"] = [escape(depth_text(depth)) for depth in merit.depth_m]
+    if forms_images:
+        columns["efficiency x"] = [_share(share) for share in merit.pinhole_efficiency_x]
+        columns["efficiency y"] = [_share(share) for share in merit.pinhole_efficiency_y]
+    for p, peak in zip(POLARISATIONS, peaks, strict=True):
+        columns[f"peak {p}"] = [_share(each) for each in peak or [math.nan] * len(merit.depth_m)]
+    if not all(map(math.isnan, merit.extinction_ratio)):
+        columns["extinction"] = [_ratio(ratio) for ratio in merit.extinction_ratio]
+    if has_lobe:
+        lobes = [[html.number(size) for size in lobe] for lobe in merit.main_lobe_x_um]
+        columns["lobe x / µm"], columns["lobe y / µm"] = map(list, zip(*lobes, strict=True))
+    head, rows = list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
     text = "Peak: relative to the target phases."
     if forms_images:
         pinhole = f"a pinhole of {merit.pinhole_um:.3g} µm"

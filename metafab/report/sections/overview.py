@@ -69,7 +69,8 @@ def _lights(figures: LightsFigures, layout: LayoutFigures | None) -> list[str]:
         items.append(html.headline(text, f"of the light in the wanted wave at {_labels(lights)}"))
     if strehl:
         lights, ratios = zip(*strehl, strict=True)
-        items.append(html.headline(_listed(ratios, "{:.2f}"), f"Strehl ratio at {_labels(lights)}"))
+        where = _labels(lights) + " along the axis" * (len(lights) < len(figures.lights))
+        items.append(html.headline(_listed(ratios, "{:.2f}"), f"Strehl ratio at {where}"))
     return items
 
 

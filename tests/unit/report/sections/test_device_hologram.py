@@ -104,7 +104,9 @@ def test_a_mask_for_several_lights_has_its_figures_in_each_of_them(run: RunFolde
     assert "60 · 70 · 80\u202f%</b><span>of the light in the wanted wave at 460, 540, 640 nm<" in colours
     assert "0.80 · 0.80 · 0.80</b><span>Strehl ratio at 460, 540, 640 nm<" in colours
     directions = page((633.0, 0.0), (633.0, 10.0))
-    assert "wanted wave at 0°, 10°<" in directions and "0.80</b><span>Strehl ratio at 633 nm<" in directions
+    assert (
+        "wanted wave at 0°, 10°<" in directions and "0.80</b><span>Strehl ratio at 633 nm along the axis<" in directions
+    )
     assert "60 to 90\u202f%</b><span>of the light in the wanted wave at 4 lights<" in page(
         *((500.0 + 10.0 * n, 0.0) for n in range(4))
     )
