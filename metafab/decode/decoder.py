@@ -213,7 +213,10 @@ class Decoder:
             pixels = textured_pixel_depth(prepared, volume)
             rounds, refined = self.numerics.outline_rounds, self.numerics.refined
             optics = self.layer_optics if refined and self.numerics.modelled else None
-            regions = find_regions(prepared, volume, pixels, outline_rounds=rounds, refined=refined, optics=optics)
+            filters = None if optics is None else self.filters
+            regions = find_regions(
+                prepared, volume, pixels, outline_rounds=rounds, refined=refined, optics=optics, filters=filters
+            )
         label, vergences = focus_depths(prepared, regions, volume.vergences_per_m)
         depths = repeated(label, step, shape), vergences
         sharp = self.deconvolver(tiles.result(), prepared.levels, *depths, prepared.twins.broken)

@@ -12,9 +12,11 @@ from scipy.sparse.csgraph import connected_components
 
 from metafab.core.numeric.distance import distance
 from metafab.core.parallel.executor import kept_threads
+from metafab.core.parallel.progress import silent
 from metafab.decode.confidence import LARGEST_ERROR, right_segment
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
+from metafab.decode.matching.filters import CrossFilters
 from metafab.decode.segmentation.fit import (
     Misfit,
     across_outlines,
@@ -71,6 +73,9 @@ _FEW_OUTLIERS, _LEAST_KEPT = 0.01, 0.3
 ROBUST_ROUNDS = 3
 #: Change of a depth, in standard errors, below which its outliers stay the same.
 _SETTLED = 0.25
+#: Light of another segment over a segment's own from which that is measured without brighter light: the step at their
+#: outline is then its own light. Last: most segments of a frame that are, one cost volume each.
+_BRIGHTER, _MOST_DIM = 2.0, 4
 #: Parameters of a plane that are fitted to a segment's pixels: its depth, or its depth and slopes.
 _MOVED, _TILTED = 1, 3
 #: Distance from an outline up to which a window, with the pair's main lobes, contains it; frame pixels.
@@ -129,6 +134,7 @@ def find_regions(
     refined: bool = True,
     robust_rounds: int = ROBUST_ROUNDS,
     optics: LayerOptics | None = None,
+    filters: CrossFilters | None = None,
 ) -> Regions:
     """Segment a frame, with the probability that each pixel is in the right segment.
 
@@ -142,6 +148,7 @@ def find_regions(
         robust_rounds: most rounds of leaving outliers out.
         optics: the pair, for outlines by the model of the frame, and for small objects; without, outlines stay where
             correlation puts them.
+        filters: matched filters, for the depth of segments much dimmer than others; without, it is not measured again.
     """
     regions = _find_regions(prepared, volume, pixels, known, outline_rounds, refined=refined)
     if not (regions.depths and refined):
@@ -166,6 +173,11 @@ def find_regions(
         if not moving[1:].any():
             break
         own = misfit_of(label)
+    if filters is not None and not regions.continuous:
+        measured = without_bright_light(prepared, filters, regions)
+        if measured is not regions:
+            regions = measured
+            own = misfit_of(label)
     if optics is not None:
         reach = _OUTLINE_REACH_PX / step
         owner, own = fitting_segments(label, prepared.spoiled, own, at_segment, reach)
@@ -268,6 +280,32 @@ def without_outliers(
     for index, cells in zip(again.tolist(), Cells.of_each(volume, number[kept], again.size, step), strict=True):
         depths[index] = measured_again(volume, cells, depths[index], depths[index].pixels, step)
     return replace(regions, depths=tuple(depths))
+
+
+def without_bright_light(prepared: PreparedFrame, filters: CrossFilters, regions: Regions) -> Regions:
+    """Measure the depth of each segment of at most half of another's light again, with brighter segments faded out.
+
+    Returns:
+        Segments with the new depths, of the largest ones if many are dim; ``regions`` itself if none is.
+    """
+    count, step = len(regions.depths), prepared.downsampling.step
+    pixels = np.bincount(regions.interior.ravel(), minlength=count + 1)[1:]
+    sums = [np.bincount(regions.interior.ravel(), one.ravel(), count + 1)[1:] for one in prepared.inner]
+    light = np.stack(sums, axis=1) / np.maximum(pixels, 1)[:, None]
+    both = light.sum(axis=1)
+    dim = np.flatnonzero((both > 0.0) & (_BRIGHTER * both <= both.max()) & (pixels * step**2 >= _NARROW_PX))
+    depths = list(regions.depths)
+    for index in dim[np.argsort(-pixels[dim])][:_MOST_DIM].tolist():
+        bright = np.append(False, both >= _BRIGHTER * both[index])[regions.grown]
+        inside = np.where(regions.interior == index + 1, np.int32(index + 1), np.int32(0))
+        spectra, whole = prepared.without_light(bright, light[index], float(both.max() / both[index]))
+        volume = filters.volume(spectra, prepared.levels, inside > 0, silent)
+        misfit = misfit_at(prepared, volume, regions.vergence_per_m(inside), inside).over_noise
+        kept = (inside > 0) & whole & (misfit < _LARGEST_MISFIT) & ~prepared.spoiled
+        if kept.sum() > _LEAST_KEPT * pixels[index]:
+            cells = Cells.of(volume, kept, step)
+            depths[index] = measured_again(volume, cells, depths[index], depths[index].pixels, step)
+    return replace(regions, depths=tuple(depths)) if dim.size else regions
 
 
 def _find_regions(

@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from metafab.camera import capture, draws
-from metafab.decode import decode
+from metafab.core.parallel.progress import silent
+from metafab.decode import Decoder, decode
 from metafab.decode.evaluation.metrics import overlap
+from metafab.decode.segmentation.planes import Cells, Plane
+from metafab.decode.segmentation.prepared_frame import PreparedFrame
+from metafab.decode.segmentation.regions import measured_depth, without_bright_light
+from metafab.decode.segmentation.segments import Regions, interior
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
@@ -55,3 +60,29 @@ def test_a_ball_is_one_curved_surface(wide_psf: Psf) -> None:
     # 0.97 and 0.47 % here, 97 % decoded; in layers each draw is off by more than 0.6 %.
     assert np.nanmean(errors) < 9e-3
     assert np.isfinite(errors).mean() > 0.93
+
+
+@pytest.mark.parametrize("ratio", [50.0, 100.0])
+def test_the_depth_of_a_dim_wall_is_that_without_the_light_before_it(ratio: float) -> None:
+    """With true outlines, the filters' tails of a bright object pull a wall by 1.1 and 2.6 %, eleven stated errors.
+
+    Measured without its light: 0.04 and 0.26 % at a ratio of 50, 0.10 and 0.14 % at 100, two draws each.
+    """
+    psf = helix_psf(1.0 / np.linspace(1 / 0.0038, 1 / 0.0024, 9))
+    wall = SceneObject(depth_m=0.0034, size=(0.6, 0.6), brightness=1.0 / ratio)
+    objects = wall, SceneObject(depth_m=0.0027, size=(0.6, 0.14))
+    frame = capture(Scene(objects=objects, photons_per_pixel=1e6, field_px=(240, 160), seed=1), psf)
+    decoder = Decoder.of(psf, frame.frame.shape, frame.origin_um, frame.x_window)
+    assert decoder is not None and frame.truth is not None
+    prepared = decoder.prepare(frame)
+    assert isinstance(prepared, PreparedFrame)
+    step, everywhere = prepared.downsampling.step, np.ones(prepared.downsampling.shape, dtype=bool)
+    label = frame.truth.label[::step, ::step].astype(np.int32)
+    inside = sum(number * interior(label, number, step) for number in (1, 2)).astype(np.int32)
+    volume = decoder.filters.volume(prepared.spectra, prepared.levels, everywhere, silent)
+    far, near = (measured_depth(volume, Cells.of(volume, inside == k, step), Plane(330.0)) for k in (1, 2))
+    assert far is not None and near is not None
+    assert abs(1.0 / far.vergence_per_m / 0.0034 - 1.0) > 0.01
+    again = without_bright_light(prepared, decoder.filters, Regions(2, (far, near), label, inside, label)).depths
+    assert abs(1.0 / again[0].vergence_per_m / 0.0034 - 1.0) < 0.003
+    assert again[1] is near
