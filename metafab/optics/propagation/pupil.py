@@ -152,12 +152,14 @@ def reduce_field(source: Source, carriers: Sequence[Carrier], wavenumber: float,
     x, y = source.lattice.x_um(), source.lattice.y_um()
     pupils = [_empty_pupil(carrier, wavenumber, source.lattice) for carrier in carriers]
     pending: list[Future[None]] = []
+    row = -1
     # Carriers run in parallel, tiles do not, as they may share blocks. The source makes the next tile meanwhile.
     with ThreadPoolExecutor(default_workers() if work.workers is None else work.workers) as threads:
         for tile in source.tiles():
             for job in pending:
                 job.result()
-            if tile.column == 0:
+            if tile.row != row:  # the first tile of a row may be dark, and so be left out
+                row = tile.row
                 for pupil in pupils:
                     pupil.release()
             pending = [threads.submit(_add_tile, pupil, tile) for pupil in pupils]

@@ -61,6 +61,17 @@ def test_tiles_leave_no_trace() -> None:
     assert np.abs(one.sums - many.sums).max() < 1e-10 * np.abs(one.sums).max()
 
 
+def test_every_row_of_tiles_gives_memory_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tiles without pillars are left out: at the rim of a circle, the first of a row."""
+    whole = lens.written(OPTICS, lens.eq_2(OPTICS), tile_sites=100)
+    rim = replace(whole.pillars, tiles=lambda: (tile for tile in whole.pillars.tiles() if tile.column))
+    source = replace(whole, pillars=rim)
+    released: list[object] = []
+    monkeypatch.setattr("metafab.optics.propagation.pupil.release", released.append)
+    reduce_field(source, [Carrier(0, _ray(), 4)], K)
+    assert len(released) == 2 * len({tile.row for tile in source.tiles()}) > 2, "sums and powers, once a row"
+
+
 def test_coarsening_is_the_same_as_larger_blocks() -> None:
     source = lens.ideal(OPTICS, lens.eq_2(OPTICS), lens.eq_3_and_4(OPTICS))
     fine, coarse = (_exact(source, Carrier(0, _ray(), block)) for block in (3, 6))
