@@ -18,10 +18,10 @@ from typing import Any
 from benchmarks.pipeline.commands import REPOSITORY, finished
 
 APERTURES_UM = ("2000", "4000", "8000")
-#: Depth and pixel of the PSFs, in focus for 2 mm and far out of focus.
+#: Depth (m) and pixel (um) of the PSFs where the sensor is sharp, and far from there.
 _PSFS = {"psf": ("0.3", "2"), "psf out of focus": ("0.1", "1")}
-#: The same above 8 mm: this lens is sharp at infinity alone, and its finest fringe has a period of 0.95 um.
-_LARGE_UM, _LARGE_PSFS = 8000.0, {"psf": ("inf", "0.4"), "psf out of focus": ("0.3", "0.4")}
+#: The same above 8 mm, whose finest fringes have a period below 1 um.
+_LARGE_UM, _LARGE_PSFS = 8000.0, {"psf": ("0.3", "0.4"), "psf out of focus": ("inf", "0.4")}
 
 
 def rows(quick: bool, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -67,7 +68,7 @@ def load_design(path: Path | str) -> Design:
     if isinstance(table.get("process"), str):
         table["process"] = _collect(faults, "process", lambda: load_process(path.parent / table["process"]))
     if isinstance(table.get("library"), str):
-        table["library"] = str((path.parent / table["library"]).resolve())
+        table["library"] = os.path.realpath(path.parent / table["library"])
     skip = {key for key in ("unit_cell", "scene", "process") if table.get(key) is _FAULTY}
     try:
         design: Design | None = adapter(Design).validate_python({k: v for k, v in table.items() if k not in skip})

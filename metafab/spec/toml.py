@@ -133,7 +133,7 @@ def _resolved(value: Any, folder: Path, key: str = "") -> Any:
     if isinstance(value, str) and "\0" in value:
         raise ValueError(f"a character \\u0000 in the value of `{key}`")
     if isinstance(value, str) and (key in _FILE_KEYS or value.lower().endswith(".csv")):
-        return str((folder / value).resolve())
+        return os.path.realpath(folder / value)  # of a link that leads to itself, that link, which no reader opens
     return value
 
 

@@ -165,6 +165,18 @@ def test_files_without_an_end_and_huge_ones_are_refused_at_once(tmp_path: Path) 
             load_design(path)
 
 
+def test_a_link_to_itself_is_no_file(tmp_path: Path) -> None:
+    (tmp_path / "loop.npy").symlink_to("loop.npy")
+    (tmp_path / "loop.toml").symlink_to("loop.toml")
+    array = '[[phase]]\nterm = "array"\nfile = "loop.npy"\npitch_um = 0.5\n[rules]'
+    design = tmp_path / "lens.toml"
+    design.write_text(SMALL.read_text().replace("../unitcell_lib", CELL.parent.as_posix()).replace("[rules]", array))
+    assert load_design(design).phase[-1].file == tmp_path / "loop.npy"  # whoever opens it says that there is none
+    design.write_text(SMALL.read_text().replace("../unitcell_lib/sos_800nm.toml", "loop.toml"))
+    with pytest.raises(InputError, match=r"library -> .*loop.toml: file"):
+        load_design(design)
+
+
 def test_a_file_of_another_kind_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"expected a design file, got a unit-cell file .*`metafab library build`"):
         load_design(CELL)
