@@ -40,6 +40,9 @@ class PsfDetails:
     field_error: float = math.nan  #: Largest relative L2 error over the field points; NaN without a field.
     #: Relative L2 error of interpolation between field points, where it was measured; else NaN.
     field_interpolation_error: float = math.nan
+    #: Rms error of the amplitudes of pillars as exposure and etch make them, over their rms; NaN for those of a file.
+    #: Efficiencies may be off by about as much; ``error`` does not contain it.
+    made_error: float = math.nan
     filter_fwhm_nm: float | None = None  #: Full width of the filter; None for one wavelength.
     seconds: float = 0.0  #: Wall-clock time of the computation.
     #: Parameters of the camera that the stack was fitted to; empty for a computed stack.
@@ -72,6 +75,8 @@ class PsfDetails:
             computed["filter_fwhm_nm"] = self.filter_fwhm_nm
         if not math.isnan(self.field_interpolation_error):
             computed["field_interpolation_error"] = self.field_interpolation_error
+        if not math.isnan(self.made_error):
+            computed["made_error"] = self.made_error
         return {**(computed if self.blocks else {}), **self.camera_fit}
 
     @classmethod
@@ -90,6 +95,7 @@ class PsfDetails:
             stray=stray,
             field_error=rest.pop("field_error", math.nan),
             field_interpolation_error=rest.pop("field_interpolation_error", math.nan),
+            made_error=rest.pop("made_error", math.nan),
             filter_fwhm_nm=rest.pop("filter_fwhm_nm", None),
             seconds=rest.pop("seconds", 0.0),
             camera_fit=rest,

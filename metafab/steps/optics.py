@@ -73,6 +73,8 @@ class PairFigures:
     light_at_um: tuple[tuple[float, ...], ...] | None = optional()
     #: True where the brightest pixel of a polarisation lies on the edge of its window, else None.
     peak_on_edge: bool | None = optional()
+    #: Rms error of the amplitudes of made pillars over their rms, beside ``error``; None for those of the file.
+    made_error: float | None = optional()
 
     @classmethod
     def of(cls, psf: Psf, light_at_um: Places | None = None) -> PairFigures:
@@ -331,13 +333,13 @@ def point_spread(
     tangents = [tangent or (1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
     for depths, direction in zip(passes, tangents, strict=True):
         require_valid(imaging, depths, direction, None, numerics)  # before the mask is read
-    source = _source_of(job, path, copy, printed, sizes)
+    source, made_error = _source_of(job, path, copy, printed, sizes)
     stacks = [
         optics.psf(source, imaging, depths, numerics, tangent=tangent, work=job.work)
         for depths, tangent in zip(passes, tangents, strict=True)
     ]
     middle = len(passes) // 2
-    return concatenate(stacks), light_elsewhere(source, imaging, stacks[middle], tangents[middle])
+    return _stating(concatenate(stacks), made_error), light_elsewhere(source, imaging, stacks[middle], tangents[middle])
 
 
 def calibration(job: Job, path: Path | None, *, copy: int = 1, printed: Printed | None = None) -> Psf:
@@ -347,7 +349,8 @@ def calibration(job: Job, path: Path | None, *, copy: int = 1, printed: Printed 
     """
     if job.design.scene is None:
         raise InputError.single(job.design.name, "scene", "one, whose depths and field are covered", "none", "add it")
-    return _calibration(job, _source_of(job, path, copy, printed))
+    source, made_error = _source_of(job, path, copy, printed)
+    return _stating(_calibration(job, source), made_error)
 
 
 def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1, printed: Printed | None = None) -> Psf:
@@ -358,9 +361,10 @@ def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1, prin
     from metafab import camera, optics
     from metafab.camera.exact import EXACT
 
-    source, imaging = _source_of(job, path, copy, printed), optics.Imaging.of(job.design)
+    (source, made_error), imaging = _source_of(job, path, copy, printed), optics.Imaging.of(job.design)
     numerics = replace(EXACT, filter_fwhm_nm=filter_fwhm_nm(job.design), vectorial=job.design.verify.vectorial)
-    return camera.exact_psf(scene, source, imaging, numerics, work=Work(progress=job.work.progress))
+    pair = camera.exact_psf(scene, source, imaging, numerics, work=Work(progress=job.work.progress))
+    return _stating(pair, made_error)
 
 
 def save_psf(
@@ -402,14 +406,23 @@ def _measured_field(job: Job, path: Path, copy: int, sizes: Path) -> WrittenFiel
     return made_field(with_measured_sizes(mask_source(job, path, copy).pillars, sizes, library), library)
 
 
-def _source_of(job: Job, path: Path | None, copy: int, printed: Printed | None, sizes: Path | None = None) -> Source:
+def _source_of(
+    job: Job, path: Path | None, copy: int, printed: Printed | None, sizes: Path | None = None
+) -> tuple[Source, float]:
+    """Pillars and their light; relative error of the amplitudes of made pillars, NaN for others."""
     if path is None:
-        return lit_source(job, ideal_source(job))
+        return lit_source(job, ideal_source(job)), math.nan
     if sizes is not None:
-        return lit_source(job, _measured_field(job, path, copy, sizes))
+        return lit_source(job, _measured_field(job, path, copy, sizes)), math.nan
     if printed is None:
-        return lit_source(job, written_light(job, path, copy))
-    return lit_source(job, made_mask(job, path, printed, copy).field.field)
+        return lit_source(job, written_light(job, path, copy)), math.nan
+    made = made_mask(job, path, printed, copy).field
+    return lit_source(job, made.field), made.error
+
+
+def _stating(psf: Psf, made_error: float) -> Psf:
+    """The PSFs with the error of their pillars' amplitudes."""
+    return replace(psf, details=replace(psf.details, made_error=made_error))
 
 
 def _psf_error(job: Job) -> float:

@@ -480,6 +480,7 @@ def test_light_of_printed_pillars(unit_cell: UnitCell, tmp_path: Path) -> None:
         answer = metafab("psf", tmp_path / "layout.oas", "--design", path, "--depths-m", "0.003", *printed, "--json")
         assert answer.code == 0, answer.stderr
         transmitted.append(answer.json["transmitted_x"])
+        assert ("made_error" in answer.json) == bool(printed)
     assert transmitted[1] == pytest.approx(transmitted[0], rel=0.01)
     assert abs(transmitted[2] - transmitted[0]) > 0.02 * transmitted[0]
     refused = metafab("psf", "--ideal", "--design", path, "--printed", "plain")
