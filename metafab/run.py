@@ -8,6 +8,7 @@ one design gives the same bytes in every folder.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +22,7 @@ from metafab import __version__
 from metafab.core.errors import noted
 from metafab.core.parallel.measure import measured
 from metafab.core.parallel.work import Work
-from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, whole_file, write_json
+from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, plain, whole_file, write_json
 from metafab.core.storage.lock import alone_in
 from metafab.core.storage.provenance import code_sha256, contents_sha256
 from metafab.core.storage.tables import DAMAGED, typed
@@ -91,7 +92,13 @@ class Record:
 
     inputs_sha256: str  #: Fingerprint of all that the step depends on.
     outputs: dict[str, FileMark]  #: State of each file, by its path relative to the run folder.
-    summary: Any  #: Figures of the step; None where an older version wrote them in another form.
+    summary: Any  #: Figures of the step; None where they are damaged, or an older version wrote them in another form.
+    summary_sha256: str  #: Hash of the figures, so that a changed digit is noticed.
+
+    @classmethod
+    def of(cls, inputs_sha256: str, outputs: dict[str, FileMark], figures: Any) -> Record:
+        """Entry of a step that has just been done."""
+        return cls(inputs_sha256, outputs, figures, _sha256(figures))
 
     def files_unchanged(self, folder: Path, modified_ns: Mapping[str, int] = MappingProxyType({})) -> bool:
         """Whether every file is as the step left it; ``modified_ns`` are times of its last change, by name."""
@@ -121,7 +128,7 @@ def run(
     if not state.is_current(check):
         figures = check.work(job)
         say(figures.announcements)
-        state.records[check.name] = Record(state.fingerprint(check), {}, figures)
+        state.records[check.name] = Record.of(state.fingerprint(check), {}, figures)
     folder.mkdir(parents=True, exist_ok=True)
     with alone_in(folder):
         for place in (folder, folder / "figures"):
@@ -134,6 +141,7 @@ def run(
             if step.shows_summary and not state.is_current(step):
                 state.summary().save(folder / SUMMARY_FILE)
             state.bring_up_to_date(step)
+        state.save_records()
         summary = state.summary()
         summary.save(folder / SUMMARY_FILE)
         return summary
@@ -171,7 +179,7 @@ class _State:
                 figures = step.work(self.job)
             paths = {relative_to(self.job.folder, path): path for path in step.outputs(self.job)}
             marks = {name: FileMark.of(path) for name, path in paths.items()}
-            self.records[step.name] = Record(self.fingerprint(step), marks, figures)
+            self.records[step.name] = Record.of(self.fingerprint(step), marks, figures)
             self.log.seconds[step.name], self.log.peak_rss_mb[step.name] = cost.seconds, cost.peak_rss_mb
             self.log.modified_ns.update({name: path.stat().st_mtime_ns for name, path in paths.items()})
             self.save_records()
@@ -262,7 +270,8 @@ def _read_records(folder: Path, steps: Sequence[Step]) -> dict[str, Record]:
             record = typed(Record, tables[step.name])
         except DAMAGED:
             continue
-        records[step.name] = replace(record, summary=_figures(step, record.summary))
+        is_whole = _sha256(record.summary) == record.summary_sha256
+        records[step.name] = replace(record, summary=_figures(step, record.summary) if is_whole else None)
     return records
 
 
@@ -272,6 +281,11 @@ def _read_log(folder: Path) -> _Log:
         return typed(_Log, json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")))
     except (OSError, *DAMAGED):
         return _Log()
+
+
+def _sha256(figures: Any) -> str:
+    """Hash of a step's figures, as they are in memory or as JSON holds them."""
+    return hashlib.sha256(json.dumps(plain(figures), sort_keys=True).encode()).hexdigest()
 
 
 def _figures(step: Step, table: Any) -> Any:

@@ -31,7 +31,7 @@ def done(design: Design, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path
     folder = tmp_path_factory.mktemp("phases_alone")
     # What an earlier variant of the design left of its mask goes.
     (folder / "layout.oas").write_bytes(b"pillars")
-    record = Record("", {"layout.oas": FileMark(7, "")}, {})
+    record = Record.of("", {"layout.oas": FileMark(7, "")}, {})
     write_json(folder / STEPS_FILE, {"layout": record})
     return folder, run(design, folder)
 

@@ -240,7 +240,7 @@ def test_figures_are_read_back_as_they_were_written(tmp_path: Path, small_design
 
 
 def test_a_record_without_files_is_unchanged(tmp_path: Path) -> None:
-    assert Record("", {}, {}).files_unchanged(tmp_path)
+    assert Record.of("", {}, {}).files_unchanged(tmp_path)
 
 
 def test_the_design_is_checked_once(tmp_path: Path, small_design: Design, chain: Chain) -> None:
@@ -272,6 +272,19 @@ def test_the_page_comes_last_and_after_every_step() -> None:
     assert REPORT.after == tuple(step.name for step in RESULT_STEPS)
     assert REPORT.reads == ("coupling.json", "exposure.json", "patch.h5", "tolerance.json")
     assert {step.name for step in RESULT_STEPS} <= set(RunSummary.__dataclass_fields__)
+
+
+def test_one_changed_digit_of_a_record_is_noticed(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    run(small_design, tmp_path, steps=chain.steps)
+    chain.done.clear()
+    records = tmp_path / "steps.json"
+    whole = records.read_text(encoding="utf-8")
+    for figure, other in (('"min_gap_nm": 100.0', '"min_gap_nm": 101.0'), ("100.0", "100.00")):
+        assert figure in whole
+        records.write_text(whole.replace(figure, other), encoding="utf-8")
+        run(small_design, tmp_path, steps=chain.steps)
+        assert records.read_text(encoding="utf-8") == whole
+    assert chain.done == ["drc"]
 
 
 def _deep(text: str) -> str:
