@@ -164,7 +164,7 @@ def test_sizes_outside_the_samples_stay_unknown(cell: UnitCell, tmp_path: Path) 
         ("width_um,length_um,t_re,t_im", 1.0, r"is the unit right\?"),
         ("width_nm,length_nm,t_re,t_im", 1.6, r"expected at most 1, got 1\.\d+ at .*--quantity"),
         ("width_nm,length_nm,t_re,t_abs", 1.0, r"expected `t_re` and `t_im`, or `t_abs`"),
-        ("width_nm,length_nm,t_abs,t_phase_rad", 0.99, r"vary smoothly .*error of \d.* in the unit of its column"),
+        ("width_nm,length_nm,t_abs,t_phase_rad", 0.99, r"vary smoothly.*error of \d.* in the unit of its column"),
     ],
 )
 def test_what_does_not_fit_is_refused(header: str, scale: float, message: str, cell: UnitCell, tmp_path: Path) -> None:
