@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,10 +40,11 @@ _BLIND_DEPTHS = 10
 _SEARCH_SAMPLES = 64
 #: Places along a side of the aperture at which the mean slope of a target is taken.
 _SLOPE_PLACES = 128
-#: Largest pitch of an array over the period for which its steps may exceed what pillars sample.
-_FINER = 0.75
-#: Distance of a local slope, periods.
-_LOCAL = 1e-3
+#: Distance over which the slope of a formula is taken, and of an array at least, periods: a jump by half a turn, as at
+#: an outline, then adds an eighth of a turn from pillar to pillar, and levels count as the slope that they stand for.
+_LOCAL, _WINDOW = 1e-3, 4.0
+#: Part by which rounding may lift a phase that turns by exactly half a turn from pillar to pillar.
+_ROUNDING = 1e-6
 #: The direction that was found last; each step of a run needs it.
 _DIRECTIONS: Latest[tuple[tuple[float, float], tuple[float, float]]] = Latest()
 
@@ -230,26 +232,43 @@ def mean_direction(design: Design) -> tuple[tuple[float, float], tuple[float, fl
 
 def _mean_direction(design: Design, terms: list[Term]) -> tuple[tuple[float, float], tuple[float, float]]:
     # Over a whole period: where the pillars alias a slope, the light goes into the direction of the alias.
-    slopes, inside = _slopes(design, terms, periods=1.0)
+    period_x_nm, period_y_nm = design.unit_cell.cell.period_nm
+    slopes, inside = _slopes(design, terms, (1e-3 * period_x_nm, 1e-3 * period_y_nm)), _inside(design)
     mean = slopes[..., inside].sum(axis=-1) / max(1, np.count_nonzero(inside))
     cosines = mean * design.wavelength_um / (2.0 * np.pi)
     (x_x, x_y), (y_x, y_y) = cosines.tolist()
     return (x_x, x_y), (y_x, y_y)
 
 
-def _slopes(design: Design, terms: Sequence[Term], *, periods: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Mean slopes (rad/um) over some periods, shape (2, 2, n, n) for polarisation and axis; mask of the device."""
-    half_um = 0.5 * design.device.aperture_um
-    places = (np.arange(_SLOPE_PLACES) + 0.5) / _SLOPE_PLACES * 2.0 * half_um - half_um
-    slopes = np.zeros((2, 2, _SLOPE_PLACES, _SLOPE_PLACES))
+def _places_um(design: Design) -> FloatArray:
+    """Coordinates along a side of the aperture at which slopes are taken, shape (n,)."""
+    return ((np.arange(_SLOPE_PLACES) + 0.5) / _SLOPE_PLACES - 0.5) * design.device.aperture_um
+
+
+def _inside(design: Design) -> NDArray[np.bool_]:
+    """Places of the slopes that lie within the aperture, shape (n, n)."""
+    places = _places_um(design)
+    return design.device.encloses(places, places)
+
+
+def _slopes(
+    design: Design, terms: Sequence[Term], step_um: tuple[float, float], counts: tuple[int, int] = (1, 1)
+) -> FloatArray:
+    """Mean slopes, rad/um, over ``counts`` wrapped steps along x and y.
+
+    Shape (2, 2, n, n): polarisation, axis, and the places in rows along y.
+    """
+    places = _places_um(design)
+    slopes = np.zeros((2, 2, places.size, places.size))
     for p, name in enumerate(POLARISATIONS):
-        for axis, step_um in enumerate(1e-3 * periods * period_nm for period_nm in design.unit_cell.cell.period_nm):
-            ends = []
-            for side in (-0.5, 0.5):
-                x, y = (places + side * step_um * (axis == along) for along in (0, 1))
-                ends.append(sum((term(x, y, name) for term in terms), np.zeros(slopes.shape[2:])))
-            slopes[p, axis] = wrap_phase(ends[1] - ends[0]) / step_um
-    return slopes, design.device.encloses(places, places)
+        for axis, (step, count) in enumerate(zip(step_um, counts, strict=True)):
+            phases = []
+            for number in range(count + 1):
+                x, y = (places + (number - 0.5 * count) * step * (axis == along) for along in (0, 1))
+                phases.append(sum((term(x, y, name) for term in terms), np.zeros(slopes.shape[2:])))
+            turned = sum(wrap_phase(after - before) for before, after in pairwise(phases))
+            slopes[p, axis] = turned / (count * step)
+    return slopes
 
 
 def undersampled_share(design: Design) -> float:
@@ -257,24 +276,30 @@ def undersampled_share(design: Design) -> float:
 
     From pillar to pillar it turns by more than pi, so that a flatter phase, one turn a pillar less, has the same values
     and takes the light: the slope lies beyond the first Brillouin zone of the lattice. The larger one of both
-    polarisations. Helices and holograms are left out, and arrays whose samples lie hardly closer than the pillars: the
-    wrapped steps of these never exceed pi. An unusable array raises InputError.
+    polarisations. The slope of an array is the mean of its steps from sample to sample over a few periods, since the
+    interpolation between them is uneven. Helices and holograms are left out. An unusable array raises InputError.
     """
     period_um = 1e-3 * np.array(design.unit_cell.cell.period_nm)
-    terms = [
-        _plain_term(design, term)
-        for term in design.phase
-        if not isinstance(term, spec.SpiralZones | spec.Picture | spec.DoubleHelix)
-        and not (isinstance(term, spec.UserArray) and term.pitch_um > _FINER * period_um.min())
-    ]
-    slopes, inside = _slopes(design, terms, periods=_LOCAL)
+    formulas = []
+    slopes = np.zeros((2, 2, _SLOPE_PLACES, _SLOPE_PLACES))
+    for term in design.phase:
+        if isinstance(term, spec.UserArray):
+            count_x, count_y = np.ceil(_WINDOW * period_um / term.pitch_um).astype(int).tolist()
+            step_um = term.pitch_um, term.pitch_um
+            slopes += _slopes(design, [_plain_term(design, term)], step_um, (count_x, count_y))
+        elif not isinstance(term, spec.SpiralZones | spec.Picture | spec.DoubleHelix):
+            formulas.append(_plain_term(design, term))
+    near_x_um, near_y_um = (_LOCAL * period_um).tolist()
+    slopes += _slopes(design, formulas, (near_x_um, near_y_um))
     along_x, along_y = 2.0 * np.pi / period_um
     # Shortest reciprocal lattice vectors, rad/um; every other row of a hexagonal lattice is offset by half a period.
     if design.unit_cell.cell.is_hexagonal:
         shortest = [(along_x, 0.5 * along_y), (along_x, -0.5 * along_y), (0.0, along_y)]
     else:
         shortest = [(along_x, 0.0), (0.0, along_y)]
-    beyond = [np.abs(slopes[:, 0] * gx + slopes[:, 1] * gy) > 0.5 * (gx**2 + gy**2) for gx, gy in shortest]
+    largest = 0.5 * (1.0 + _ROUNDING)
+    beyond = [np.abs(slopes[:, 0] * gx + slopes[:, 1] * gy) > largest * (gx**2 + gy**2) for gx, gy in shortest]
+    inside = _inside(design)
     return float(np.any(beyond, axis=0)[:, inside].mean(axis=-1).max()) if inside.any() else 0.0
 
 

@@ -20,8 +20,9 @@ from metafab.phase.pupil import Pupil, phasor
 from metafab.phase.terms.angles import angle
 from metafab.phase.terms.profile import PolarisedTerm
 
-#: A turn with its rounding errors, and the share of samples that may step farther: the outlines of a few zones.
-_LARGEST_STEP_RAD, _STEEP_SHARE = 2.0 * np.pi + 1e-3, 0.01
+#: A turn with its rounding errors, and the share of steps that may be longer: outlines of zones of several turns, or of
+#: an aperture with zeros around it, whose share is 2 over its samples a side.
+_LARGEST_STEP_RAD, _STEEP_SHARE = 2.0 * np.pi + 1e-3, 0.1
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.spec import Light, load_design, terms
 from metafab.steps.job import Job
@@ -53,3 +54,26 @@ def test_phases_too_steep_for_the_pillars_are_announced(tmp_path: Path) -> None:
     share = ((x / root > steep) | (x[:, None] / root > steep))[inside].mean()
     (sentence,) = too_steep(Job(faster, tmp_path))
     assert float(sentence.split(" % ")[0].split()[-1]) == pytest.approx(100.0 * share, rel=0.02)
+
+
+def test_arrays_are_as_steep_as_their_samples_are_from_pillar_to_pillar(tmp_path: Path) -> None:
+    """Pillars 300 nm apart: neither levels nor the interpolation between samples makes a phase steeper."""
+    design = load_design(ROOT / "layouts" / "rgb_metalens.toml")
+    design = replace(design, device=replace(design.device, aperture_um=12.0), light=())
+
+    def told(pitch_um: float, phase: FloatArray, angle_deg: float = 0.0) -> bool:
+        np.save(tmp_path / "own.npy", np.broadcast_to(phase, (phase.size, phase.size)))
+        array = terms.UserArray(file=tmp_path / "own.npy", pitch_um=pitch_um)
+        both = replace(design, phase=(array, terms.Grating(angle_deg=angle_deg)))
+        return bool(too_steep(Job(both, tmp_path)))
+
+    fine_um = (np.arange(300) - 149.5) * 0.04
+    turn = 2.0 * np.pi
+    levels = np.floor(8.0 * fine_um / 2.0) * turn / 8.0  # a turn in 2 um, by an eighth every 250 nm
+    assert not told(0.04, np.mod(levels, turn))
+    outlines = np.where(np.mod(fine_um, 4.0) < 2.0, 0.0, np.pi)
+    assert not told(0.04, outlines, angle_deg=26.0)  # half of the steepest
+    for pitch_um in (0.1, 0.2, 0.24):
+        x_um = (np.arange(round(12.0 / pitch_um) + 1) - 0.5 * round(12.0 / pitch_um)) * pitch_um
+        for share, is_told in ((0.97, False), (1.03, True)):
+            assert told(pitch_um, np.mod(share * np.pi / 0.3 * x_um, turn)) is is_told
