@@ -57,16 +57,20 @@ def wrap_phase(phase_rad: ArrayLike) -> FloatArray:
 
 
 def covered_rad(phase_rad: FloatArray, within_rad: float = 0.1) -> float:
-    """Part of the phase circle, rad, within reach of one of the phases, shape (n,) in (-pi, pi].
+    """Part of the phase circle, rad, that phases cover: the larger of two measures; shape (n,) in (-pi, pi].
 
-    The reach is ``within_rad``, or pi / n where that is more: a few phases that go evenly round cover the circle.
+    The first is the part at most ``within_rad`` from one of them. The second is for few phases: n of them, evenly
+    spaced, cover their span and one step more, so that n steps of 2 pi / n cover the circle and equal phases nothing.
     """
-    if phase_rad.size == 0:
+    n = phase_rad.size
+    if n == 0:
         return 0.0
-    ordered = np.sort(phase_rad)
-    gaps = np.diff(ordered, append=ordered[:1] + 2.0 * math.pi)
-    reach_rad = max(within_rad, math.pi / phase_rad.size)
-    return 2.0 * math.pi - float(np.sum(np.maximum(gaps - 2.0 * reach_rad, 0.0)))
+    ordered, turn = np.sort(phase_rad), 2.0 * math.pi
+    gaps = np.diff(ordered, append=ordered[:1] + turn)
+    open_rad = float(np.sum(np.maximum(gaps - 2.0 * within_rad, 0.0)))
+    if n > 1:
+        open_rad = min(open_rad, float(np.sum(np.maximum(gaps - turn / n, 0.0))) * n / (n - 1))
+    return turn - open_rad
 
 
 def image_distance_mm(focal_length_mm: float, depth_m: float) -> float:

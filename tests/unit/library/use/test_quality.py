@@ -57,6 +57,9 @@ def test_nine_sizes_whose_phases_go_round_reach_nearly_the_whole_turn() -> None:
     phase_rad = np.array([-1.821, -1.423, -0.898, -0.230, 0.603, 1.619, 2.699, -2.529, -1.606])
     gaps = np.diff(np.sort(phase_rad), append=np.sort(phase_rad)[0] + 2.0 * math.pi)
     open_rad = sum(gap - 2.0 * math.pi / 9.0 for gap in gaps if gap > 2.0 * math.pi / 9.0)
-    assert covered_rad(phase_rad) == pytest.approx(2.0 * math.pi - open_rad)
+    assert covered_rad(phase_rad) == pytest.approx(2.0 * math.pi - 9.0 / 8.0 * open_rad)
     assert covered_rad(phase_rad) > 0.75 * 2.0 * math.pi
-    assert covered_rad(np.linspace(0.0, 1.0, 9)) < 0.3 * 2.0 * math.pi
+    # Their span and a step more; one size, or two that are alike, cover no more than their own reach.
+    assert covered_rad(np.linspace(0.0, 2.0, 9)) == pytest.approx(2.0 * 9.0 / 8.0)
+    assert covered_rad(np.array([1.0])) == covered_rad(np.array([1.0, 1.0])) == pytest.approx(0.2)
+    assert covered_rad(np.arange(-3, 5) * math.pi / 4.0) == pytest.approx(2.0 * math.pi)
