@@ -32,9 +32,11 @@ from metafab.spec import UnitCell
 _FEWEST, _PARTS, _NEAR = 8, 10, 32
 #: Samples whose errors bound that of a point between them.
 _NEIGHBOURS = 6
+#: Distance within which a size is that of a sample (nm).
+_SAME_NM = 1e-3
 #: Largest power transmittance: 1, with the error of a rough solver.
 _MOST_POWER = 1.05
-#: Largest median error of samples that are predicted from the others; beyond, sizes between samples mean nothing.
+#: Largest median error of samples that are predicted from the others, where most sizes of the grid lie between them.
 _MOST_MISSED = 0.5
 
 
@@ -53,8 +55,8 @@ def import_sweep(
         time_sign: sign in exp(-+ i omega t) of the program; amplitudes of "plus" are conjugated.
 
     Raises:
-        InputError: the file cannot be used, a shape does not fit, the amplitudes exceed the incident power, or those of
-            like sizes have nothing in common.
+        InputError: the file cannot be used, a shape does not fit, the amplitudes exceed the incident power, or sizes
+            between the samples are asked for whose amplitudes the samples do not predict.
     """
     table = read_sweep(path)
     _require_shape(table, unit_cell, path)
@@ -62,11 +64,13 @@ def import_sweep(
     cell, grid = _grid(unit_cell, size_nm, path)
     lines = size_nm[:, :1] if grid.diagonal else size_nm
     missed = _left_out_errors(lines, t)
-    if (median := float(np.median(missed))) > _MOST_MISSED:
+    values, error, share_between = _on_grid(grid, lines, t, missed)
+    median = float(np.median(missed))
+    if share_between > 0.5 and median > _MOST_MISSED:
         expected = f"amplitudes that vary smoothly, each predicted by its neighbours to {_MOST_MISSED:g} or better"
-        remedy = "is the phase in the unit of its column's name, and the sweep fine enough?"
-        raise InputError.single(str(path), "amplitudes", expected, f"an error of {median:.2g} (median)", remedy)
-    values, error = _on_grid(grid, lines, t, missed)
+        got = f"an error of {median:.2g} (median), and {100.0 * share_between:.3g} % of the grid's sizes between"
+        remedy = "is the phase in the unit of its column's name? A coarse sweep needs its own step as `size_grid_nm`"
+        raise InputError.single(str(path), "amplitudes", expected, got, remedy)
     shape = grid.shape
     t_xx, t_yy = values.T.reshape(2, 1, *shape)
     library = Library(
@@ -198,8 +202,13 @@ def _complex(parts: FloatArray) -> ComplexArray:
     return np.asarray(parts[:, :2] + 1j * parts[:, 2:])
 
 
-def _on_grid(grid: SizeGrid, lines: FloatArray, t: ComplexArray, missed: FloatArray) -> tuple[ComplexArray, FloatArray]:
-    """Amplitudes, shape (n, 2), and errors, shape (n,), of all sizes of the grid; NaN outside the samples' hull."""
+def _on_grid(
+    grid: SizeGrid, lines: FloatArray, t: ComplexArray, missed: FloatArray
+) -> tuple[ComplexArray, FloatArray, float]:
+    """Amplitudes, shape (n, 2), and errors, shape (n,), of all sizes of the grid, NaN outside the samples' hull.
+
+    The third is the share of the sizes within the hull that lie between samples.
+    """
     width, length = (axis.ravel() for axis in np.meshgrid(grid.width_nm, grid.length_nm))
     places = np.stack([width, length], axis=1)
     inside = width == length if grid.diagonal else _in_hull(places, lines)
@@ -207,9 +216,9 @@ def _on_grid(grid: SizeGrid, lines: FloatArray, t: ComplexArray, missed: FloatAr
     values = np.full((len(places), 2), np.nan, dtype=np.complex128)
     error = np.full(len(places), np.nan)
     values[inside] = _complex(_spline(lines, t)(points))
-    near = cKDTree(lines).query(points, k=min(_NEIGHBOURS, len(lines)))[1]
-    error[inside] = missed[near].max(axis=1)
-    return values, error
+    samples = cKDTree(lines)
+    error[inside] = missed[samples.query(points, k=min(_NEIGHBOURS, len(lines)))[1]].max(axis=1)
+    return values, error, float(np.mean(np.asarray(samples.query(points)[0]) > _SAME_NM))
 
 
 def _in_hull(places: FloatArray, lines: FloatArray) -> NDArray[np.bool_]:
@@ -217,5 +226,5 @@ def _in_hull(places: FloatArray, lines: FloatArray) -> NDArray[np.bool_]:
     try:
         hull = Delaunay(lines)
     except QhullError:  # samples on one line
-        return np.asarray(cKDTree(lines).query(places)[0] < 1e-6)
+        return np.asarray(cKDTree(lines).query(places)[0] < _SAME_NM)
     return np.asarray(hull.find_simplex(places, tol=1e-9) >= 0)

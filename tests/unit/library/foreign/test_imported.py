@@ -182,3 +182,17 @@ def test_a_size_given_twice_is_refused(cell: UnitCell, tmp_path: Path) -> None:
     path = _rows(tmp_path / "twice.csv", "width_nm,length_nm,t_re,t_im", width, width, width / 999.0, 0.0 * width)
     with pytest.raises(InputError, match="more than once"):
         import_sweep(path, cell, quantity="field")
+
+
+def test_a_coarse_sweep_serves_at_its_own_sizes_alone(cell: UnitCell, tmp_path: Path) -> None:
+    """Circles a third of a turn apart: each is predicted from neighbours two thirds apart, which tell nothing."""
+    diameter = np.arange(100.0, 251.0, 15.0)
+    t = 0.9 * np.exp(2j / 3 * np.pi * np.arange(diameter.size))
+    path = _rows(tmp_path / "levels.csv", "diameter_nm,t_re,t_im", diameter, t.real, t.imag)
+    circles = replace(cell, cell=replace(cell.cell, shape="circle"))
+    own = replace(circles, sweep=replace(circles.sweep, size_grid_nm=15.0))
+    found = import_sweep(path, own, quantity="field")
+    assert found.t_xx[0].diagonal() == pytest.approx(t, abs=1e-9)
+    assert found.statistics.max_error > 0.5
+    with pytest.raises(InputError, match="sizes between"):
+        import_sweep(path, circles, quantity="field")
