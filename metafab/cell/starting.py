@@ -90,11 +90,13 @@ def starting_cell(
         folder: of the unit-cell file, for the paths in it.
 
     Raises:
-        InputError: an unknown material or shape, an unusable CSV file, a record without that wavelength, or pillars
-            whose index is too low for air.
+        InputError: an unknown material or shape, an unusable CSV file, a record without that wavelength, pillars whose
+            index is too low for air, or a period too short for sizes.
     """
     if shape not in _ERROR:
         raise InputError.single("new", "--shape", f"one of {', '.join(_ERROR)}", repr(shape), near(shape, _ERROR))
+    if not 0.0 < wavelength_nm < math.inf:
+        raise InputError.single("new", "--wavelength-nm", "a wavelength above 0", f"{wavelength_nm:g}")
     (pillar, pillar_name, pillar_toml), (ground, ground_name, ground_toml) = (
         _material(name, wavelength_nm, option, folder)
         for name, option in ((material, "--material"), (substrate, "--substrate"))
@@ -116,6 +118,10 @@ def starting_cell(
         hole_nm, wall_nm = (_ROUND_NM * max(1, round(share * period_nm / _ROUND_NM)) for share in (_HOLE, _WALL))
         low_nm = hole_nm + 2.0 * wall_nm
         hole = f"\ninner_diameter_nm = {hole_nm:.1f}"
+    if low_nm >= high_nm:
+        expected = f"a wavelength and indices whose period holds sizes in steps of {_ROUND_NM:g} nm beside a gap"
+        got = f"a period of {period_nm:g} nm"
+        raise InputError.single("new", "--wavelength-nm, --material, --substrate", expected, got)
     span_nm, fewest = high_nm - low_nm, _FEWEST_STEPS[shape]
     step_nm = next(step for step in (100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0) if span_nm / step >= fewest or step == 1.0)
     cell = PillarCell(
@@ -139,12 +145,13 @@ def starting_cell(
     many_nm = np.linspace(low_nm, high_nm, steps + 1 if axes == 1 else min(steps + 1, _SIZES_OF_TWO))
     fields = _fields(replace(cell, height_nm=height_nm), many_nm, axes)
     reach_rad, efficiency = covered_rad(np.angle(fields[np.abs(fields) ** 2 >= 0.5])), _efficiency(fields)
+    indices = f"indices: {pillar_name} ({n:.4g}) and {ground_name} ({n_substrate:.4g})"
     text = f"""# Pillars of {pillar_name} on {ground_name} at {wavelength_nm:g} nm, by the rules of thumb and the
 # search of `metafab new`; change what your process says. Periods below {wavelength_nm / n_substrate:.0f} nm keep all
 # light in the zero order of the substrate. Solved at a low order, the sizes that transmit half of the light or
 # more reach {reach_rad:.2f} rad of phase (a turn is 6.28). A slow grating of these pillars sends
 # {100.0 * efficiency:.0f} % of the light into its order.
-source = "indices: {pillar_name} ({n:.4g}) and {ground_name} ({n_substrate:.4g})"
+source = {json.dumps(indices, ensure_ascii=False)}
 
 [cell]
 period_nm = {period_nm:.1f}
@@ -204,7 +211,8 @@ def _material(name: str, wavelength_nm: float, option: str, folder: Path) -> tup
             raise InputError.single("new", option, "an index n + kj with n above 0 and k of 0 or more", repr(name))
         return Material(n=index.real, k=index.imag), f"index {name}", f"{{ n = {index.real!r}, k = {index.imag!r} }}"
     if name.lower().endswith(".csv"):
-        inside = Path(os.path.relpath(name, folder)).as_posix()
+        # Of real paths: `..` in a path through a linked folder starts where the link leads.
+        inside = Path(os.path.relpath(os.path.realpath(name), os.path.realpath(folder))).as_posix()
         return Material(record=name), Path(name).name, json.dumps(inside, ensure_ascii=False)
     record = _record(name, wavelength_nm, option)
     return Material(record=record), record, f'"{record}"'
@@ -216,11 +224,8 @@ def _record(name: str, wavelength_nm: float, option: str) -> str:
     tried = [name] if name in known else _RECORDS.get(name.lower(), ())
     if not tried:
         usual = ("TiO2", "Si", "a-Si", "SiN")
-        records_, of_your_own = (
-            ", ".join(sorted(known)),
-            "a CSV file (`wavelength_nm,n,k`) or an index such as 2.4+0.01j",
-        )
-        expected = f"a material such as {', '.join(usual)}, {records_}; {of_your_own}"
+        named = ", ".join((*usual, *sorted(known)))
+        expected = f"a material such as {named}; a CSV file (`wavelength_nm,n,k`) or an index such as 2.4+0.01j"
         raise InputError.single("new", option, expected, repr(name), near(name, {*known, *usual}))
     for record in tried:
         low, high = known[record]

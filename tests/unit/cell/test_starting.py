@@ -79,9 +79,12 @@ def test_a_file_or_an_index_of_ones_own_serves_and_so_do_pillars_of_the_substrat
     table = tmp_path / "materials" / "ge.csv"
     table.parent.mkdir()
     table.write_text("wavelength_nm,n,k\n10000,4.004,0\n11000,4.002,0\n", encoding="utf-8")
-    begun = starting_cell(10600.0, str(table), substrate="4.0028", shape="circle", folder=tmp_path)
-    cell = _loaded(begun, tmp_path)
-    assert '"materials/ge.csv"' in begun.text and "{ n = 4.0028, k = 0.0 }" in begun.text
+    # Through a linked folder, `..` would lead elsewhere.
+    (tmp_path / "elsewhere" / "deep").mkdir(parents=True)
+    (tmp_path / "linked").symlink_to(tmp_path / "elsewhere" / "deep")
+    begun = starting_cell(10600.0, str(table), substrate="4.0028", shape="circle", folder=tmp_path / "linked")
+    cell = _loaded(begun, tmp_path / "linked")
+    assert '"../../materials/ge.csv"' in begun.text and "{ n = 4.0028, k = 0.0 }" in begun.text
     assert cell.materials.pillar.record == str(table)
     assert open_orders(cell) == ()
     assert begun.reach_rad > 4.4
@@ -89,6 +92,8 @@ def test_a_file_or_an_index_of_ones_own_serves_and_so_do_pillars_of_the_substrat
 
 def test_what_cannot_work_is_refused() -> None:
     for arguments, message in (
+        ((-5.0, "2.4"), "a wavelength above 0"),
+        ((532.0, "60"), "whose period holds sizes"),
         ((532.0, "unobtainium"), "a material such as"),
         ((2500.0, "TiO2"), "a record with 2500 nm"),
         ((532.0, "1.2"), "index of 1.3 or more"),
@@ -96,6 +101,6 @@ def test_what_cannot_work_is_refused() -> None:
         ((532.0, "mine.csv"), "no file|No such file"),
     ):
         with pytest.raises(InputError, match=message):
-            starting_cell(*arguments)
+            starting_cell(*arguments, substrate="1.45")
     with pytest.raises(InputError, match="one of rectangle"):
         starting_cell(532.0, "TiO2", shape="star")
