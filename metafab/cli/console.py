@@ -74,7 +74,7 @@ def pace(progress: Progress, known: Container[str]) -> Progress:
             return
         announced.add(step)
         left = f"; the other {total - done:g} take about {(total - done) * spent_s / units:.2g} s" * (step in known)
-        announce([f"{step}: {spent_s / units:.2g} s each by the first {units:g}{left}"])
+        announce([f"{step}: {units:g} took {spent_s / units:.2g} s each{left}"])
 
     return advance
 

@@ -35,8 +35,8 @@ from metafab.core.errors import SolverError
 #: of p^-4 is 1.2, 1.4 and 1.7 of the last change at orders 7, 8 and 9.
 _CLAIMS = {4: (4e-3, 2.0), 5: (5e-4, 2.0), 6: (2e-4, 2.0), 7: (1e-4, 2.0), 8: (6e-5, 2.4), 9: (4e-5, 2.8)}
 #: Largest index in a cell of low index; and the share of the change before the last that bounds the error of an ellipse
-#: from the third order on, above that index and up to it, where the rims' field is less singular. Beside a resonance at
-#: an index of 3.3 the changes to orders 4, 5 and 6 were 0.029, 6e-4 and 7e-4, and order 5 was off by 1.3e-3. Where the
+#: from order 5 on, above that index and up to it, where the rims' field is less singular. Beside a resonance at an
+#: index of 3.3 the changes to orders 4, 5 and 6 were 0.029, 6e-4 and 7e-4, and order 5 was off by 1.3e-3. Where the
 #: last change was less than a twentieth of it, errors were at most 0.043 and 0.014 of it in 34 ellipses, 32 random.
 _LOW_INDEX, _BEFORE, _BEFORE_LOW = 3.0, 0.1, 0.03
 #: The same of rounded rectangles, whose elements differ in order. On 40 random ones, resonances among them, the error

@@ -108,10 +108,14 @@ def expected_cells(unit_cell: UnitCell) -> tuple[int, int]:
     """
     grid, box = SizeGrid.of(unit_cell), CornerBox.of(unit_cell)
     distinct = grid.distinct.size
-    is_exact = grid.diagonal or distinct <= FIRST_ROUND
-    few, many = (distinct, distinct) if is_exact else (min(_FEW_CELLS, distinct), min(_MANY_CELLS, distinct))
+    few, many = (distinct, distinct) if _solves_all(grid) else (min(_FEW_CELLS, distinct), min(_MANY_CELLS, distinct))
     dimensions = 0 if box is None else box.dimensions
     return few + CornerNumerics.first_round * dimensions, many + CornerNumerics.most_cells * dimensions
+
+
+def _solves_all(grid: SizeGrid) -> bool:
+    """Whether the first round of :func:`sample_grid` solves every size."""
+    return grid.diagonal or grid.distinct.size <= FIRST_ROUND
 
 
 def solver_target(unit_cell: UnitCell, *, every_size: bool = False) -> float:
@@ -120,11 +124,11 @@ def solver_target(unit_cell: UnitCell, *, every_size: bool = False) -> float:
     Round pillars, and grids of no more sizes than the first round, need no model: the solver gets its share as well,
     unless models of corners are fitted. ``every_size`` is :attr:`BuildNumerics.every_size`, a reference for models.
     """
-    target, grid = unit_cell.sweep.target_error, SizeGrid.of(unit_cell)
+    target = unit_cell.sweep.target_error
     share = SOLVER_SHARE * target
     if every_size:
         return share
-    if grid.diagonal or grid.distinct.size <= FIRST_ROUND:
+    if _solves_all(SizeGrid.of(unit_cell)):
         return share if CornerBox.of(unit_cell) is not None else share + MODEL_SHARE * target
     return min(share, FITTED_SOLVER_ERROR) if unit_cell.solver.name == "rcwa" else share
 
