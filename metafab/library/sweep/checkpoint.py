@@ -1,9 +1,9 @@
 """Solved points of a running build on disk, one line per point as it arrives.
 
-The file is JSON lines: a header with the fingerprint of the build's inputs, then one record per point. Numbers read
-back exactly. A line that a kill cut short is dropped at the next start. The process that has the file open holds a
-lock, which ends with the process, and a hidden file beside names the process and its host. A second build of one
-library says so and waits.
+Each line is JSON and its checksum: a header with the fingerprint of the build's inputs, then one record per point.
+Numbers read back exactly. From a line on that a kill cut short, or that was damaged, points are solved again. The
+process that has the file open holds a lock, which ends with the process, and a hidden file beside names the process and
+its host. A second build of one library says so and waits.
 """
 
 from __future__ import annotations
@@ -13,15 +13,17 @@ import logging
 import multiprocessing
 import os
 import time
+import zlib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import IO
+from typing import IO, Any
 
 from metafab.core.errors import InputError
 from metafab.core.storage.lock import owner_in, write_owner
+from metafab.core.storage.tables import DAMAGED
 
 try:
     import fcntl
@@ -138,29 +140,38 @@ class Checkpoint:
 
     def _write(self, record: object) -> None:
         if self._stream is not None:
-            self._stream.write(json.dumps(record) + "\n")
+            text = json.dumps(record)
+            self._stream.write(f"{text} {zlib.crc32(text.encode()):08x}\n")
 
     def _read(self, path: Path) -> int:
-        """Take over the points of an earlier start; return the number of bytes in whole lines."""
-        content = path.read_bytes()
-        lines = content.split(b"\n")[:-1]
+        """Take over the points of an earlier start up to the first damaged line; return the bytes of these lines."""
+        lines = path.read_bytes().split(b"\n")[:-1]
         if not lines:
             return 0
         try:
-            header = json.loads(lines[0])
-            records = [json.loads(line) for line in lines[1:]]
+            header = _record(lines[0])
             build = (header["kind"], header["inputs_sha256"])
-            self.points = [_point(record) for record in records]
-        except (ValueError, TypeError, KeyError, IndexError) as error:
+        except DAMAGED as error:
             raise _refused(path, f"a foreign or damaged file ({error})") from error
         if build != (_KIND, self._inputs):
             raise _refused(path, "one of another unit cell, target error or version")
-        return sum(len(line) + 1 for line in lines)
+        with suppress(*DAMAGED):
+            for line in lines[1:]:
+                self.points.append(_point(_record(line)))
+        return sum(len(line) + 1 for line in lines[: 1 + len(self.points)])
 
 
 def _owner_file(path: Path) -> Path:
     """File that names the process which holds the lock."""
     return path.with_name(f".{path.name}.owner")
+
+
+def _record(line: bytes) -> Any:
+    """Record of a line; ValueError if its checksum is another's."""
+    text, _, checksum = line.rpartition(b" ")
+    if checksum != b"%08x" % zlib.crc32(text):
+        raise ValueError("a line with another checksum")
+    return json.loads(text)
 
 
 def _point(record: list[float]) -> SolvedPoint:
