@@ -52,8 +52,9 @@ class Rerun:
     violations: int  #: Places where design rules are violated.
 
     def keep(self, folder: Path) -> None:
-        """Write ``.rerun.json`` into the run folder."""
-        _replace(folder / _RERUN_FILE, asdict(self))
+        """Write ``.rerun.json`` into the run folder, with its own hash, so that a changed digit is noticed."""
+        table = asdict(self)
+        _replace(folder / _RERUN_FILE, {**table, "sha256": _sha256(table)})
 
 
 def find_rerun(design: Path, output: Path | None, code: str) -> tuple[Rerun, Path] | None:
@@ -72,7 +73,10 @@ def find_rerun(design: Path, output: Path | None, code: str) -> tuple[Rerun, Pat
             folder = Path("runs") / name[1]
         else:
             folder = output
-        known = typed(Rerun, json.loads((folder / _RERUN_FILE).read_text(encoding="utf-8")))
+        table = json.loads((folder / _RERUN_FILE).read_text(encoding="utf-8"))
+        if table.pop("sha256") != _sha256(table):
+            return None
+        known = typed(Rerun, table)
         stated = (str(design.absolute()), str(folder.resolve()), code)
         is_known = (known.design, known.folder, known.code) == stated
         is_known = is_known and (output is not None or known.name == folder.name)
@@ -129,6 +133,10 @@ def code_mark(package: Path = _PACKAGE) -> str:
     except OSError:
         return ""
     return digest.hexdigest()
+
+
+def _sha256(table: Any) -> str:
+    return sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
 
 def _files(folder: str) -> Iterator[str]:

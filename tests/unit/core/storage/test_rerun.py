@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from metafab.core.storage.rerun import Rerun, all_older, code_mark, find_rerun, folder_marks, marks
+from metafab.core.storage.tables import typed
 
 
 @pytest.fixture
@@ -86,6 +87,7 @@ def _edit(key: str, value: object) -> Callable[[Path], None]:
         _write("runs/lens/.rerun.json", '{"name": '),
         _write("runs/lens/.rerun.json", "[" * 200_000),
         _edit("headlines", []),
+        _edit("headlines", {"pillars": "8"}),
         _edit("announcements", [1]),
         _edit("violations", "none"),
         lambda place: (place / "index.csv").unlink(),
@@ -110,7 +112,7 @@ def test_other_code_or_another_design_leaves_the_answer_to_the_pipeline(folder: 
     Path("lens.toml").write_text('[[phase]]\nname = "part"\n')
     table = json.loads(Path("runs/part/.rerun.json").read_text())
     table |= {"inputs": marks(table["inputs"]), "folder": str(moved.resolve())}
-    Path("runs/part/.rerun.json").write_text(json.dumps(table))
+    typed(Rerun, table).keep(Path("runs/part"))
     assert find_rerun(Path("lens.toml"), Path("runs/part"), code_mark()) is not None
     assert find_rerun(Path("lens.toml"), None, code_mark()) is None
 
