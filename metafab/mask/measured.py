@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.core.storage.limits import require_modest_table
 from metafab.layout import PillarMap
 
 COLUMNS = ("x_um", "y_um", "width_nm", "length_nm")
@@ -68,6 +69,7 @@ def read_measured(path: Path, optional: Sequence[str] = ()) -> MeasuredTable:
     """
     expected = f"a .csv file with the columns {', '.join(COLUMNS)}"
     try:
+        require_modest_table(path)
         with path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.DictReader(line for line in stream if line.strip() and not line.startswith("#"))
             table, present = list(reader), [name for name in optional if name in (reader.fieldnames or ())]

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from metafab.core.errors import InputError
+from metafab.core.storage.limits import require_modest_table
 
 #: Complex index for x and y polarisation.
 IndexPair = tuple[complex, complex]
@@ -71,11 +72,12 @@ def read_table(path: Path, name: str) -> IndexRecord:
         return InputError.single(str(path), "file", expected, got, "correct the file")
 
     try:
+        require_modest_table(path)
         lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise refuse(f"an unreadable file ({error})") from error
     comments = [line.lstrip("# ").strip() for line in lines if line.startswith("#")]
-    rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
     if not rows or tuple(cell.strip() for cell in rows[0]) != _HEADER:
         raise refuse(f"the header {','.join(rows[0])}" if rows else "no rows")
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import HDF5_SUFFIXES
+from metafab.core.storage.limits import require_modest_table
 from metafab.core.storage.pictures import read_array, require_few
 
 _REMEDY = "export the stack as .npy of shape (depths, rows, columns) or (2, depths, rows, columns)"
@@ -69,6 +71,7 @@ def read_depths(path: Path) -> FloatArray:
             raise InputError.single(str(path), "depths", "real numbers", str(values.dtype))
         return values.astype(np.float64).ravel()
     try:
+        require_modest_table(path)
         lines = path.read_text(encoding="utf-8").splitlines()
         words = [word for line in lines for word in line.partition("#")[0].replace(",", " ").split()]
         return np.array([float(word) for word in words])
@@ -97,7 +100,10 @@ def _read_matlab(path: Path, names: Sequence[str]) -> list[np.ndarray]:
     """Arrays of a MATLAB file of version 5."""
     from scipy.io import loadmat, whosmat
 
-    chosen = _chosen(path, {name: tuple(shape) for name, shape, _ in whosmat(path)}, names)
+    shapes = {name: tuple(shape) for name, shape, _ in whosmat(path)}
+    chosen = _chosen(path, shapes, names)
+    # A few compressed bytes can state thousands of millions of values.
+    require_few(path, sum(math.prod(shapes[name]) for name in chosen))
     content = loadmat(path, variable_names=chosen)
     return [np.asarray(content[name]) for name in chosen]
 

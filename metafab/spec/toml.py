@@ -33,7 +33,8 @@ _LARGEST_MB = 4.0
 
 #: A key of more than 32 dotted parts, whose parsing takes time quadratic in their number; keys of a design have 5.
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
-_LONG_KEY = re.compile(rf"(?<![\w-])(?:{_PART}\.[ \t]*+){{32}}")
+#: A key begins behind no backslash: without that, each escaped quote of a text would be tried to the end of its line.
+_LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_PART}\.[ \t]*+){{32}}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -59,6 +60,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def parse_toml(text: str, folder: Path) -> dict[str, Any]:
     """Parse TOML and make its paths, relative to ``folder``, absolute; ValueError or RecursionError if it is none."""
+    if _LONG_KEY.search(text):
+        raise ValueError("a key of more than 32 dotted parts")
     table: dict[str, Any] = _resolved(tomllib.loads(text), folder)
     return table
 
@@ -74,10 +77,7 @@ def _text(path: Path) -> str:
                 raise UnicodeDecodeError("utf-8", start, 0, 1, "a binary file")
         expected = f"a TOML file of at most {most_mb:g} MB"
         raise beyond(str(path), "file", "memory_mb", expected, f"{size} bytes", by_design=False)
-    text = path.read_text(encoding="utf-8-sig")  # Editors on Windows write a byte-order mark.
-    if _LONG_KEY.search(text):
-        raise ValueError("a key of more than 32 dotted parts")
-    return text
+    return path.read_text(encoding="utf-8-sig")  # Editors on Windows write a byte-order mark.
 
 
 def validate(spec: Callable[..., Spec], table: Any, source: str) -> Spec:

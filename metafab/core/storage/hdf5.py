@@ -181,20 +181,25 @@ def open_file(path: Path) -> h5py.File:
 
 
 def _has_endless_heap(path: Path, size_bytes: int) -> bool:
-    """Whether a global heap holds free space of size 0, on which the HDF5 library (1.14) steps in place forever."""
+    """Whether a global heap holds free space of size 0, on which the HDF5 library (1.14) steps in place forever.
+
+    So does, by this function, a file whose heaps overlap so that they hold more than ``_MOST_HEAP_OBJECTS`` together.
+    """
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as image:
 
         def number(place: int, length: int) -> int:
             return int.from_bytes(image[place : place + length], "little")
 
         head = 8 + size_bytes  # of a heap and of each object in it
+        objects = 0
         start = image.find(_HEAP)
         while start >= 0:
             end = min(start + number(start + 8, size_bytes), len(image))
             place = start + head
             while place + head <= end:
                 is_free, content = number(place, 2) == 0, number(place + 8, size_bytes)
-                if is_free and content == 0:
+                objects += 1
+                if (is_free and content == 0) or objects > _MOST_HEAP_OBJECTS:
                     return True
                 place += content if is_free else head + -(-content // 8) * 8
             start = image.find(_HEAP, start + len(_HEAP))
@@ -271,6 +276,8 @@ _BUFFERS_OF_A_CHUNK = 2
 _MOST_CHUNKS = 1 << 17
 #: Groups and datasets of a file; metafab writes fewer than a hundred.
 _MOST_OBJECTS = 4096
+#: Texts of all heaps of a file; each costs half a microsecond.
+_MOST_HEAP_OBJECTS = 1 << 20
 #: What h5py, NumPy and JSON raise on content that is not what its place promises.
 _UNREADABLE = (LookupError, OSError, ValueError, TypeError, AttributeError, RuntimeError, MemoryError)
 #: Begin of a global heap of version 1, the only one, in which HDF5 keeps texts of attributes.

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from pathlib import Path
 from types import MappingProxyType
 from typing import Literal, TypeAlias
 
@@ -43,6 +44,28 @@ def limited(**stated: float | None) -> Iterator[None]:
         yield
     finally:
         _stated.reset(token)
+
+
+def require_modest_table(path: Path) -> None:
+    """Refuse (InputError) a table in text whose lines and cells would take more memory as lists than ``memory_mb``.
+
+    By default 512 MB for a file of up to 10 MB, and 64 bytes more for each byte of a larger one; OSError if it cannot
+    be read.
+    """
+    size = path.stat().st_size
+    most_mb = limit("memory_mb", _TABLE_MB + 64e-6 * max(0.0, size - 1e7))
+    taken = 0
+    with path.open("rb") as stream:
+        while part := stream.read(1 << 20):
+            taken += sum(each * part.count(sign) for sign, each in _BYTES_OF_A_SIGN.items())
+    if taken > 1e6 * most_mb:
+        expected, got = f"at most {most_mb:.0f} MB of lines and cells", f"{1e-6 * taken:.0f} MB"
+        raise beyond(str(path), "file", "memory_mb", expected, got, "give fewer rows")
+
+
+#: Memory of a table's lists, MB, and bytes of the lists that each sign between lines or cells adds.
+_TABLE_MB = 512.0
+_BYTES_OF_A_SIGN = {b"\n": 512, b"\r": 512, b"\v": 512, b"\f": 512, b",": 64, b";": 64, b"\t": 64, b" ": 64}
 
 
 def beyond(

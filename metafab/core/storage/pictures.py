@@ -8,6 +8,7 @@ import math
 import warnings
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -28,14 +29,20 @@ _MOST_SAMPLES, _BYTES_OF_A_SAMPLE = 1 << 26, 8
 _LONGEST_SIDE_PX = 1 << 16
 #: Most pages of a TIFF; each costs 0.1 ms.
 _MOST_PAGES = 1 << 15
+#: Arrays of an .npz file, and how NumPy compresses them; the other ways of zip files inflate ten times more slowly.
+_MOST_ARRAYS, _OF_NUMPY = 1 << 10, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 #: Makes what inflates a strip or tile, by the compressions of TIFF that tifffile inflates by itself at any ratio.
 _OPENERS: dict[int, Callable[[], Any]] = {
     8: zlib.decompressobj,
     32946: zlib.decompressobj,
     34925: lzma.LZMADecompressor,
 }
-#: Bytes of a strip besides twice its pixels.
-_SPARE_BYTES = 1 << 16
+#: Compression of TIFF that tifffile expands in Python, to a list of eight bytes for each byte and in 0.2 us a run.
+_PACKBITS, _MOST_UNPACKED_BYTES, _MOST_RUNS = 32773, 1 << 25, 1 << 23
+#: Bytes of a strip besides twice its pixels, and of a strip's head and end on average.
+_SPARE_BYTES, _BYTES_OF_A_STRIP = 1 << 16, 512
+#: Strips and tiles of all pages, besides one for each 256 bytes of the file; each costs 20 us.
+_MOST_STRIPS = 1 << 16
 _REMEDY = "save it as a grey TIFF, PNG or .npy of shape (rows, columns)"
 
 
@@ -100,28 +107,56 @@ def _require_end(file: TiffFile) -> None:
 
 
 def _require_modest_strips(path: Path, file: TiffFile) -> None:
-    """Refuse deflated strips and tiles that inflate to far more than their pixels: tifffile inflates them whole.
+    """Refuse strips and tiles that take far more to inflate than their pixels: tifffile inflates them whole.
 
     ValueError, or InputError for tiles of more pixels than a picture may have.
     """
     stream = file.filehandle
+    strips = work = runs = most_work = 0
+    most_strips, most_runs = _MOST_STRIPS + stream.size // 256, max(_MOST_RUNS, stream.size)
     for page in file.pages:
         key = page.keyframe
-        if key is None or key.compression not in _OPENERS:
+        if key is None:
+            continue
+        strips += len(page.dataoffsets)
+        if strips > most_strips:
+            raise ValueError(f"more than {most_strips} strips or tiles")
+        if key.compression != _PACKBITS and key.compression not in _OPENERS:
             continue
         if key.is_tiled:
             require_few(path, *key.chunks)
         pixels = math.prod(key.chunks) if key.is_tiled else min(math.prod(key.chunks), key.size)
-        most = 2 * pixels * -(-key.bitspersample // 8) + _SPARE_BYTES
+        nbytes = pixels * -(-key.bitspersample // 8)
+        most = 2 * nbytes + _SPARE_BYTES
+        most_work += len(page.dataoffsets) * (3 * nbytes + _BYTES_OF_A_STRIP)
         # Strips may share one place in the file.
-        for place, size in set(zip(page.dataoffsets, page.databytecounts, strict=False)):
-            opener = _OPENERS[key.compression]()
+        for (place, size), times in Counter(zip(page.dataoffsets, page.databytecounts, strict=False)).items():
             stream.seek(place)
-            inflated = len(opener.decompress(stream.read(min(size, most)), most)) if size else 0
-            # A second stream follows; zlib leaves it out, lzma does not.
-            follows = isinstance(opener, lzma.LZMADecompressor) and bool(opener.unused_data.strip(b"\0"))
+            packed = stream.read(min(size, most))
+            if key.compression == _PACKBITS:
+                inflated, count = _unpacked(packed, min(most, _MOST_UNPACKED_BYTES))
+                runs, follows = runs + times * count, inflated >= _MOST_UNPACKED_BYTES
+            else:
+                opener = _OPENERS[key.compression]()
+                inflated = len(opener.decompress(packed, most)) if size else 0
+                # A second stream follows; zlib leaves it out, lzma does not.
+                follows = isinstance(opener, lzma.LZMADecompressor) and bool(opener.unused_data.strip(b"\0"))
             if max(size, inflated) >= most or follows:
                 raise ValueError(f"a strip or tile of {size} bytes that inflates to far more than its {pixels} pixels")
+            work += times * (size + inflated)
+            if work > most_work + _SPARE_BYTES or runs > most_runs:
+                raise ValueError("strips or tiles that take far more to inflate than their pixels")
+
+
+def _unpacked(packed: bytes, most: int) -> tuple[int, int]:
+    """Bytes that PackBits expand to, counted to ``most``, and the number of runs among them."""
+    place = inflated = runs = 0
+    while place < len(packed) and inflated < most:
+        count = packed[place]
+        inflated += 257 - count if count > 128 else count + 1 if count < 128 else 0
+        place += 2 if count > 128 else count + 2 if count < 128 else 1
+        runs += 1
+    return inflated, runs
 
 
 def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
@@ -145,7 +180,7 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            image = Image.open(path)
+            image = Image.open(path, formats=("PNG",))  # Pillow's readers of other formats may take minutes.
         with image:
             require_few(path, *image.size)
             image.load()
@@ -162,6 +197,7 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
         if len(arrays) != 1:
             raise ValueError(f"{len(arrays)} arrays ({', '.join(arrays)}), not one")
         (values,) = arrays.values()
+        require_few(path, *values.shape)
         return values
 
     return {"tiff": tiff, "png": png, "npy": npy, "npz": npz}
@@ -176,7 +212,12 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """
     most_mb = limit("memory_mb", _MOST_SAMPLES * _BYTES_OF_A_SAMPLE / 1e6)
     with zipfile.ZipFile(path) as directory:
-        inflated = sum(entry.file_size for entry in directory.infolist())
+        entries = directory.infolist()
+    if len(entries) > _MOST_ARRAYS:
+        raise ValueError(f"{len(entries)} arrays, more than {_MOST_ARRAYS}")
+    if any(entry.compress_type not in _OF_NUMPY for entry in entries):
+        raise ValueError("arrays that are compressed otherwise than by NumPy")
+    inflated = sum(entry.file_size for entry in entries)
     if inflated > 1e6 * most_mb:
         raise beyond(str(path), "arrays", "memory_mb", f"at most {most_mb:.0f} MB", f"{inflated / 1e6:.0f} MB")
     with np.load(path, allow_pickle=False) as file:

@@ -34,6 +34,7 @@ from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.core.numeric.splines import spline_weights
+from metafab.core.storage.limits import require_modest_table
 from metafab.decode.camera_fit.point import PointImage, find_point
 from metafab.decode.registration.calibration import stretched
 from metafab.optics.point_spread import Psf
@@ -126,6 +127,7 @@ def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
     InputError if the table cannot be read, a depth is not a positive number, or a frame is not in it.
     """
     try:
+        require_modest_table(path)
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError.single(str(path), "file", "a readable table of depths", str(error)) from error

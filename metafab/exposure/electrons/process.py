@@ -12,6 +12,7 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
+from metafab.core.storage.limits import require_modest_table
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.electrons.presets import preset
 from metafab.spec import Design
@@ -80,6 +81,7 @@ def _table(path: Path) -> tuple[str, FloatArray]:
     """Header and the first two columns, shape (n, 2), of a text file."""
     expected = "a text file with a radius and an energy in each row"
     try:
+        require_modest_table(path)
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError as error:
         raise InputError.single(str(path), "table_file", expected, f"{error}") from error

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage import hdf5
-from metafab.core.storage.limits import beyond, limit
+from metafab.core.storage.limits import beyond, limit, require_modest_table
 from metafab.core.storage.pictures import read_arrays
 
 #: Amplitudes of a file: the ratio of the electric fields; a modulus that is the power transmittance, with the phase of
@@ -33,6 +33,8 @@ _UNITS_NM = {"nm": 1.0, "um": 1e3, "m": 1e9}
 _SUFFIXES = ("_re", "_im", "_abs", "_phase_rad", "_phase_deg")
 #: Largest file, MB, unless the limit ``memory_mb`` is stated.
 _LARGEST_MB = 1000.0
+#: Most sizes of a sweep; a million of them takes 1 s to compare.
+_MOST_SIZES = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,10 @@ def _columns(path: Path) -> dict[str, NDArray[np.generic]]:
         most_mb = limit("memory_mb", _LARGEST_MB)
         if path.stat().st_size > 1e6 * most_mb:
             raise beyond(str(path), "file", "memory_mb", f"at most {most_mb:.0f} MB", "a larger one")
-        return readers[path.suffix.lower()](path)
+        columns = readers[path.suffix.lower()](path)
+        if (most := max((values.size for values in columns.values()), default=0)) > _MOST_SIZES:
+            raise InputError.single(str(path), "rows", f"at most {_MOST_SIZES} sizes", f"{most}")
+        return columns
     except InputError:
         raise
     except Exception as error:  # the readers raise many types for a broken file
@@ -95,6 +100,7 @@ def _columns(path: Path) -> dict[str, NDArray[np.generic]]:
 
 
 def _csv(path: Path) -> dict[str, NDArray[np.generic]]:
+    require_modest_table(path)
     with path.open(encoding="utf-8-sig", newline="") as stream:
         lines = [line for line in stream if line.strip() and not line.lstrip().startswith("#")]
     if not lines:

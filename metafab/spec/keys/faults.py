@@ -10,6 +10,8 @@ from pydantic import ValidationError
 from metafab.core.errors import Fault
 from metafab.spec.keys.reference import names_at, near
 
+#: Faults that are told one by one; each costs up to a millisecond, and kilobytes with its input.
+_MOST_FAULTS = 500
 _UNKNOWN = {"extra_forbidden", "unexpected_keyword_argument"}
 #: Parts of names that users give the phase of turned pillars; no term makes it.
 _GEOMETRIC = ("geometric", "berry", "pb", "rotat")
@@ -39,6 +41,8 @@ _LENGTHS: dict[str, Callable[[dict[str, Any]], str]] = {
 
 def faults_of(error: ValidationError, spec: Any) -> list[Fault]:
     """Return one fault for each error that the validation library found; the keys of ``spec`` are suggested."""
+    if (count := error.error_count()) > _MOST_FAULTS:
+        return [Fault("", f"{count} faults, too many to be told one by one; is it another program's file?", "")]
     # A list whose items have faults of their own is also called too short.
     return [
         _fault(item, spec)

@@ -24,6 +24,8 @@ HOSTILE = {
     "dotted key with quotes": '"a" . ' + "'b'." * 50_000 + "c = 1",
     "dotted header": "[a" + ".a" * 50_000 + "]",
     "dotted key of an inline table": "x = {a" + ".a" * 50_000 + " = 1}",
+    "escaped quotes": 'a = "' + '\\"' * 1_900_000 + '"',
+    "unknown keys": "".join(f"a{number} = 1\n" for number in range(280_000)),
     "one word": "a" * 3_900_000,
     "dots": "a = 1" + "." * 3_900_000,
     "larger than any design": "a = 1\n" + "#" * 10_000_000,

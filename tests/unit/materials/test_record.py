@@ -34,6 +34,8 @@ def test_a_users_table(tmp_path: Path) -> None:
         "wavelength_nm,n,k\n700,nan,0\n",
         "wavelength_nm,n,k\n700,3.8\n",
         "wavelength_nm,n,k\n700,3.8,zero\n",
+        "wavelength_nm,n,k\n700,3.8," + 200_000 * "0" + "\n",
+        "wavelength_nm,n,k\n" + 1_100_000 * "7\n",
     ],
 )
 def test_a_bad_table_is_refused(tmp_path: Path, text: str) -> None:

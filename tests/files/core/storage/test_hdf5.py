@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import struct
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -124,6 +125,23 @@ def test_free_space_of_no_size_in_a_heap_is_refused(tmp_path: Path) -> None:
         pass
     with pytest.raises(InputError, match="damaged heap"):
         read_array(path, "x")
+
+
+def test_heaps_that_overlap_are_refused_in_time(tmp_path: Path) -> None:
+    """Many heaps that all reach to one list of small objects, each of which would be walked for each heap."""
+    path = tmp_path / "overlapping.h5"
+    with h5py.File(path, "w") as file:
+        file["x"] = np.arange(3.0)
+    heads, tail = 20_000, struct.pack("<QQ", 1, 0) * 60_000
+    with path.open("ab") as stream:
+        for k in range(heads):
+            to_tail = 32 * (heads - k) - 32
+            stream.write(b"GCOL\1\0\0\0" + struct.pack("<QQQ", 1 << 40, 1, to_tail))
+        stream.write(tail)
+    start = time.process_time()
+    with pytest.raises(InputError, match="damaged heap"):
+        read_array(path, "x")
+    assert time.process_time() - start < 5.0
 
 
 def test_a_group_that_holds_itself_ends(tmp_path: Path) -> None:

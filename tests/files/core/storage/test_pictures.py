@@ -6,6 +6,7 @@ import lzma
 import resource
 import struct
 import time
+import zipfile
 import zlib
 from pathlib import Path
 
@@ -90,6 +91,52 @@ def test_a_strip_that_inflates_to_more_than_its_pixels_is_refused(
     path.write_bytes(image + bomb)
     with pytest.raises(InputError, match="inflates to far more than its"):
         read_array(path)
+
+
+@pytest.mark.parametrize(("times", "match"), [(2, ""), (2000, "inflates to far more"), (0, "far more to inflate")])
+def test_packed_strips_expand_to_their_pixels(times: int, match: str, tmp_path: Path) -> None:
+    """tifffile expands PackBits in Python: strips that hold too much, or runs of nothing that many strips share."""
+    side = 1000
+    strip = bytes([0x81, 7]) * (side // 128 + 1) * times if times else bytes([0x80]) * 60_000
+    strips, after = side, 8 + 2 + 12 * 9 + 4
+    tags = [
+        (256, 4, 1, side), (257, 4, 1, side), (258, 3, 1, 8), (259, 3, 1, 32773), (262, 3, 1, 1),
+        (273, 4, strips, after), (277, 3, 1, 1), (278, 4, 1, 1), (279, 4, strips, after + 4 * strips),
+    ]  # fmt: skip
+    table = struct.pack("<H", len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags) + bytes(4)
+    offsets = struct.pack("<I", after + 8 * strips) * strips + struct.pack("<I", len(strip)) * strips
+    path = tmp_path / "packed.tif"
+    path.write_bytes(b"II*\0" + struct.pack("<I", 8) + table + offsets + strip)
+    start = time.process_time()
+    if match:
+        with pytest.raises(InputError, match=match):
+            read_array(path)
+    else:
+        assert np.array_equal(read_array(path), np.full((side, side), 7))
+    assert time.process_time() - start < 5.0
+
+
+def test_a_picture_is_of_the_format_that_its_name_says(tmp_path: Path) -> None:
+    """Pillow reads other formats in Python, some through programs of their own."""
+    path = tmp_path / "plain.png"
+    path.write_bytes(b"P2\n2 2\n255\n1 2 3 4\n")
+    with pytest.raises(InputError, match="readable png"):
+        read_array(path)
+
+
+@pytest.mark.parametrize("kind", ["many values", "many arrays", "bzip2"])
+def test_a_zip_file_holds_few_arrays_as_numpy_writes_them(kind: str, tmp_path: Path) -> None:
+    path, small = tmp_path / "zipped.npz", np.zeros(3)
+    if kind == "many values":
+        np.savez_compressed(path, values=np.zeros((9000, 9000), dtype=np.uint8))
+    elif kind == "many arrays":
+        np.savez(path, **{f"a{number}": small for number in range(1100)})
+    else:
+        np.save(tmp_path / "small.npy", small)
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_BZIP2) as file:
+            file.write(tmp_path / "small.npy")
+    with pytest.raises(InputError):
+        read_counts(path)
 
 
 def test_a_picture_within_the_budget_is_read(tmp_path: Path) -> None:
