@@ -30,6 +30,7 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.limits import beyond, limit
 from metafab.fullwave.written import site_cell
 from metafab.library import Library
 from metafab.library.neighbours import solve_supercell
@@ -41,6 +42,8 @@ Solver: TypeAlias = Literal["model", "rcwa", "meep", "lone"]
 #: Bound on the error of the local-period approximation over the rms step of t from site to site. On seven silicon rows
 #: (lens-like, random, nearly equal) the share was 0.16 to 0.47.
 _PER_STEP = 0.5
+#: Largest accepted file of supercells, MB, unless the limit ``memory_mb`` is stated, as of a design.
+_LARGEST_MB = 4.0
 
 _Sizes = Annotated[list[Annotated[list[NonNegative], Field(min_length=1)]], Field(min_length=1)]
 
@@ -79,6 +82,9 @@ def read_blocks(path: Path, library: Library) -> list[Supercell]:
     supercells are solved for.
     """
     try:
+        most_mb = limit("memory_mb", _LARGEST_MB)
+        if (size := path.stat().st_size) > 1e6 * most_mb:
+            raise beyond(str(path), "file", "memory_mb", f"at most {most_mb:g} MB", f"{size} bytes", by_design=False)
         table = json.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
         raise InputError.single(str(path), "file", "a JSON file", "no file at that path", "check the path") from None

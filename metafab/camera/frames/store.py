@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from types import EllipsisType
 
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from metafab.camera.frames.frame import RawFrame, Truth, pixel_axes
 from metafab.core.errors import Fault, InputError
 from metafab.core.storage import hdf5
+from metafab.core.storage.pictures import require_few
 from metafab.spec.fields import LARGEST
 
 RAW_KIND = "metafab raw frame"
@@ -64,6 +66,8 @@ def stored_frame(
 ) -> RawFrame:
     """Return the frame of a file and its truth, or that of a ``number`` in a file of several."""
     truth, truth_origin_um, window = None, None, file.attrs.get("x_window")
+    named = [file["frame"], *(file["truth"][name] for name in TRUTH_UNITS if "truth" in file)]
+    require_few(Path(file.filename), sum(math.prod(dataset.shape[-2:]) for dataset in named))
     if "truth" in file:
         group = file["truth"]
         arrays = {name: group[name][number] for name in TRUTH_UNITS}

@@ -23,8 +23,10 @@ if TYPE_CHECKING:
     from tifffile import TiffFile
 
 _SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy", ".npz": "npz"}
-#: Most pixels of a picture, times its colours or pages, unless the limit ``memory_mb`` is stated: 512 MiB of floats.
+#: Most pixels of a picture, times its colours or pages, unless the limit ``memory_mb`` is stated: 512 MiB of floats. A
+#: file of up to 10 MB holds a quarter, and 64 more for each further byte: a frame takes some 50 bytes a pixel to decode.
 _MOST_SAMPLES, _BYTES_OF_A_SAMPLE = 1 << 26, 8
+_SMALL_FILE_BYTES, _MOST_SAMPLES_OF_A_SMALL_FILE = 10**7, 1 << 24
 #: Longest side of a picture (pixels); no image sensor has more.
 _LONGEST_SIDE_PX = 1 << 16
 #: Most pages of a TIFF; each costs 0.1 ms.
@@ -72,8 +74,8 @@ def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float
 def read_array(path: Path) -> np.ndarray:
     """Read the array of a picture file, of any shape and type: the pages of a TIFF are its first axis.
 
-    The file is .tif, .tiff, .png or .npy, or an .npz of one array, of at most 2**26 values, or what ``memory_mb``
-    allows; else InputError.
+    The file is .tif, .tiff, .png or .npy, or an .npz of one array, of at most 2**24 values (2**26 in a large file), or
+    what ``memory_mb`` allows; else InputError.
     """
     kind = _SUFFIXES.get(path.suffix.lower())
     if kind is None:
@@ -210,7 +212,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
         InputError: that is more than the limit ``memory_mb``.
         OSError, ValueError, BadZipFile: the file is no .npz file.
     """
-    most_mb = limit("memory_mb", _MOST_SAMPLES * _BYTES_OF_A_SAMPLE / 1e6)
+    most_mb = _most_mb(path)
     with zipfile.ZipFile(path) as directory:
         entries = directory.infolist()
     if len(entries) > _MOST_ARRAYS:
@@ -226,10 +228,17 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
 
 def require_few(path: Path, *shape: int) -> None:
     """Refuse (InputError) a picture whose header states more values than ``memory_mb`` holds, before it is decoded."""
-    most_mb = limit("memory_mb", _MOST_SAMPLES * _BYTES_OF_A_SAMPLE / 1e6)
+    most_mb = _most_mb(path)
     if math.prod(shape) * _BYTES_OF_A_SAMPLE > 1e6 * most_mb:
         expected = f"at most {1e6 * most_mb / _BYTES_OF_A_SAMPLE:.3g} values"
         raise beyond(str(path), "shape", "memory_mb", expected, " x ".join(map(str, shape)))
+
+
+def _most_mb(path: Path) -> float:
+    """Limit of a file's values as floats, MB."""
+    further = 64 * max(0, path.stat().st_size - _SMALL_FILE_BYTES)
+    samples = min(_MOST_SAMPLES, _MOST_SAMPLES_OF_A_SMALL_FILE + further)
+    return limit("memory_mb", samples * _BYTES_OF_A_SAMPLE / 1e6)
 
 
 def _saturation(values: np.ndarray) -> float | None:
