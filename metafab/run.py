@@ -93,11 +93,12 @@ class Record:
     inputs_sha256: str  #: Fingerprint of all that the step depends on.
     outputs: dict[str, FileMark]  #: State of each file, by its path relative to the run folder.
     summary: Any  #: Figures of the step; None where they are damaged, or an older version wrote them in another form.
-    summary_sha256: str  #: Hash of the figures, so that a changed digit is noticed.
+    #: Hash of the figures, so that a changed digit is noticed; empty in records of older versions.
+    summary_sha256: str = ""
 
     @classmethod
     def of(cls, inputs_sha256: str, outputs: dict[str, FileMark], figures: Any) -> Record:
-        """Entry of a step that has just been done."""
+        """Entry of a step with these figures."""
         return cls(inputs_sha256, outputs, figures, _sha256(figures))
 
     def files_unchanged(self, folder: Path, modified_ns: Mapping[str, int] = MappingProxyType({})) -> bool:
@@ -268,10 +269,12 @@ def _read_records(folder: Path, steps: Sequence[Step]) -> dict[str, Record]:
     for step in steps:
         try:
             record = typed(Record, tables[step.name])
+            is_whole = _sha256(record.summary) == record.summary_sha256
         except DAMAGED:
             continue
-        is_whole = _sha256(record.summary) == record.summary_sha256
-        records[step.name] = replace(record, summary=_figures(step, record.summary) if is_whole else None)
+        figures = _figures(step, record.summary) if is_whole else None
+        # Hashed anew: as their types say, 5 may have become 5.0.
+        records[step.name] = Record.of(record.inputs_sha256, record.outputs, figures)
     return records
 
 
