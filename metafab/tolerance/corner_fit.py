@@ -34,7 +34,7 @@ def fitted_amplitudes(
     library: Library,
     size_nm: FloatArray,
     sample: NDArray[np.int64],
-    solved: ComplexArray,
+    changed: ComplexArray,
     groups: Sequence[tuple[int, ...]],
 ) -> tuple[ComplexArray, float]:
     """Return the amplitudes of all sizes at a corner, shape (n, 2), and their relative leave-one-out error.
@@ -42,14 +42,14 @@ def fitted_amplitudes(
     Args:
         library: a continuous library.
         size_nm: shape (n, 2), width and length.
-        sample: indices of the solved sizes.
-        solved: shape (n_sample, 2), their amplitudes at the corner for x and y polarisation.
+        sample: indices of the sizes whose change is solved.
+        changed: shape (n_sample, 2), their amplitudes at the corner for x and y polarisation.
         groups: polarisations, 0 and 1, that share a fit along and across themselves.
     """
     fitted, missed = np.empty(size_nm.shape, dtype=np.complex128), []
     for group in groups:
         some = _Sizes(library, size_nm[sample], group)
-        wanted = solved[:, group]
+        wanted = changed[:, group]
 
         def misfit(coefficients: FloatArray, some: _Sizes = some, wanted: ComplexArray = wanted) -> FloatArray:
             """Real and imaginary parts of the misses, all of one size side by side, and the weighted coefficients."""
@@ -59,7 +59,7 @@ def fitted_amplitudes(
         found = least_squares(misfit, np.zeros(_WEIGHTS.size), x_scale=_SHIFT_WEIGHT / _WEIGHTS, max_nfev=_EVALUATIONS)
         missed.append(_left_out(found.fun, np.asarray(found.jac), len(sample), 2 * len(group)))
         fitted[:, group] = _Sizes(library, size_nm, group).amplitudes(found.x)
-    return fitted, float(np.linalg.norm(np.concatenate(missed)) / np.linalg.norm(solved))
+    return fitted, float(np.linalg.norm(np.concatenate(missed)) / np.linalg.norm(changed))
 
 
 def _terms(degree: int) -> int:

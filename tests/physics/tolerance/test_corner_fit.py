@@ -4,11 +4,13 @@ from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
+import pytest
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.library import Library
 from metafab.library.surface import SizeResponse
 from metafab.tolerance.corner_fit import fitted_amplitudes
+from metafab.tolerance.corners import MaskSizes
 
 
 def _one(along: FloatArray, across: FloatArray, half_width_nm: float) -> ComplexArray:
@@ -27,16 +29,29 @@ def _surface(width_nm: FloatArray, length_nm: FloatArray) -> SizeResponse:
     return SizeResponse(t[:, 0], t[:, 1], np.zeros(len(t)))
 
 
+def _library() -> Library:
+    side = np.linspace(100.0, 250.0, 31)
+    return cast(Library, SimpleNamespace(width_nm=side, length_nm=side, surface=_surface))
+
+
 def test_a_ridge_that_moves_and_widens() -> None:
     """What remains is the widening, to first order; the stated error is that of sizes that were not solved."""
-    side = np.linspace(100.0, 250.0, 31)
-    library = cast(Library, SimpleNamespace(width_nm=side, length_nm=side, surface=_surface))
     sizes = np.random.default_rng(0).uniform(112.0, 238.0, (600, 2))
     shrunk = sizes - 6.0 - 0.02 * (sizes - 175.0)
     true = _both(*shrunk.T, half_width_nm=8.4) * np.exp(0.3j - 0.05 * sizes.mean(axis=1, keepdims=True) / 175.0)
     sample = np.arange(56)
-    fitted, stated = fitted_amplitudes(library, sizes, sample, true[sample], [(0, 1)])
+    fitted, stated = fitted_amplitudes(_library(), sizes, sample, true[sample], [(0, 1)])
     missed = float(np.linalg.norm((fitted - true)[56:]) / np.linalg.norm(true[56:]))
     changed = float(np.linalg.norm((_both(*sizes.T) - true)[56:]) / np.linalg.norm(true[56:]))
     assert missed < 0.05 * changed, (missed, stated, changed)
     assert 0.5 * missed < stated < 3.0 * missed, (missed, stated, changed)
+
+
+def test_what_the_solver_misses_with_and_without_the_change_is_no_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("metafab.tolerance.corners.swaps_polarisations", lambda library: True)
+    drawn = np.random.default_rng(0).uniform(112.0, 238.0, (100, 2))
+    t, true, sample = _both(*drawn.T), _both(*(drawn - 4.0).T), np.arange(56)
+    sizes = MaskSizes(np.arange(100), drawn, np.ones(100), t, sample, np.full(100, 100))
+    missed = 0.9 * np.exp(0.2j)
+    fitted, _ = sizes._fitted(_library(), missed * t[sample], missed * true[sample])
+    assert np.linalg.norm(fitted - true) < 0.02 * np.linalg.norm(true)

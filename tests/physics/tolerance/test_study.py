@@ -65,7 +65,11 @@ def written(small_library: Library) -> WrittenField:
 def test_few_cells_tell_all(
     written: WrittenField, small_library: Library, axis: str, deviation: float, bound: float
 ) -> None:
-    """Every size of the mask solved at the corner; the stated error is of the size of the true one."""
+    """Against each size solved one by one; the stated error is of the size of the true one.
+
+    The mask has fewer sizes than a sample: all are solved but those that a bias leaves within the sweep. The fit to a
+    sample is tested in ``test_corner_fit.py``.
+    """
     unit_cell = small_library.unit_cell
     corner = corner_fields(written, small_library, {axis: deviation})[1]
     counts = np.bincount(written.pillars.to_array().ravel(), minlength=len(written.table))
