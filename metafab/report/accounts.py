@@ -32,8 +32,8 @@ class DepthPairs:
 def loss_chain(run: RunFolder) -> list[Stage]:
     """Shares of the light at the aperture after each stage.
 
-    With figures of merit, the chain ends behind the pinhole. Without them, it ends in the window of the PSF, and a last
-    stage holds the target phases for comparison.
+    With figures of merit, the chain is theirs, to a pinhole, a picture's frame or the target wave. Without them, it
+    ends in the window of the PSF, and a last stage holds the target phases for comparison.
     """
     merit = run.summary.merit
     if merit is not None:

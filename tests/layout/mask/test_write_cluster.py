@@ -157,6 +157,6 @@ def test_a_worker_that_dies_costs_its_tile_only(cluster: str, tmp_path: Path) ->
     assert results == [number * number for number in range(12)]
     assert Path(mark).exists()
     again = sum(len((tmp_path / f"done_{number}").read_text()) for number in range(12)) - 12
-    # What was finished on the dead worker and not yet handed over is made again: two for each of two workers are in
-    # flight at a time.
+    # What was finished on the dead worker and not yet handed over is made again: two calls for each of two workers are
+    # in flight at a time, and the first four calls are of one tile each.
     assert again <= 4
