@@ -36,8 +36,9 @@ _NEIGHBOURS = 6
 _SAME_NM = 1e-3
 #: Largest power transmittance: 1, with the error of a rough solver.
 _MOST_POWER = 1.05
-#: Largest median error of samples that are predicted from the others, where most sizes of the grid lie between them.
-_MOST_MISSED = 0.5
+#: Median error of predicted samples up to which no sweep is refused. Silicon at 800 nm in steps of 15, 20, 25 and 30 nm
+#: has 0.35, 0.49, 0.66 and 0.89, at a true error between them of 0.11, 0.20, 0.39 and 0.42.
+_HARMLESS = 0.1
 
 
 def import_sweep(
@@ -65,10 +66,10 @@ def import_sweep(
     lines = size_nm[:, :1] if grid.diagonal else size_nm
     missed = _left_out_errors(lines, t)
     values, error, share_between = _on_grid(grid, lines, t, missed)
-    median = float(np.median(missed))
-    if share_between > 0.5 and median > _MOST_MISSED:
-        expected = f"amplitudes that vary smoothly, each predicted by its neighbours to {_MOST_MISSED:g} or better"
-        got = f"an error of {median:.2g} (median), and {100.0 * share_between:.3g} % of the grid's sizes between"
+    median, spread = (float(np.median(each)) for each in (missed, np.abs(t - t.mean(axis=0)).max(axis=1)))
+    if share_between > 0.5 and median > max(_HARMLESS, spread):
+        expected = f"amplitudes that those of like sizes predict better than their mean does, to {spread:.2g} (median)"
+        got = f"an error of {median:.2g}, and {100.0 * share_between:.3g} % of the grid's sizes between"
         remedy = "is the phase in the unit of its column's name? A coarse sweep needs its own step as `size_grid_nm`"
         raise InputError.single(str(path), "amplitudes", expected, got, remedy)
     shape = grid.shape
