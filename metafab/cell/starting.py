@@ -40,6 +40,8 @@ _RECORDS = {
 }
 _WIDEST, _MARGIN = 1.65, 0.93
 _LEAST_INDEX = 1.3
+#: Largest index that is taken for one, and largest extinction of a substrate over its index, for light to pass it.
+_LARGEST_INDEX, _DIMMEST = 100.0, 0.1
 #: Heights that are tried, in turns of phase; between them, at 2.2 turns, two modes of the larger pillars of titanium
 #: dioxide or silicon cancel behind the pillars: 37 to 61 % of the crosses pass less than half of the light.
 _TURNS = (1.85, 2.2, 2.6, 3.0)
@@ -91,7 +93,7 @@ def starting_cell(
 
     Raises:
         InputError: an unknown material or shape, an unusable CSV file, a record without that wavelength, pillars whose
-            index is too low for air, or a period too short for sizes.
+            index is too low for air, a substrate that light does not pass, or a period too short for sizes.
     """
     if shape not in _ERROR:
         raise InputError.single("new", "--shape", f"one of {', '.join(_ERROR)}", repr(shape), near(shape, _ERROR))
@@ -106,6 +108,9 @@ def starting_cell(
     if n < _LEAST_INDEX:
         expected = f"a material with an index of {_LEAST_INDEX:g} or more, which guides light in air"
         raise InputError.single("new", "--material", expected, f"{material} with {n:.3g}")
+    if n_substrate < 1.0 or n_ground[0].imag > _DIMMEST * n_substrate:
+        expected = f"a substrate that light passes: n of 1 or more, k of at most {_DIMMEST:g} n"
+        raise InputError.single("new", "--substrate", expected, f"{substrate} with {n_ground[0]:.3g}")
     widest_nm = wavelength_nm / max(n_substrate, 2.0 * numerical_aperture, n / _WIDEST)
     period_nm = _ROUND_NM * math.floor(_MARGIN * widest_nm / _ROUND_NM)
     largest_nm = max(_LARGEST_RULE_NM, _LARGEST_RULE * wavelength_nm)
@@ -207,8 +212,9 @@ def _material(name: str, wavelength_nm: float, option: str, folder: Path) -> tup
     except ValueError:
         pass
     else:
-        if not (0.0 < index.real < math.inf and 0.0 <= index.imag < math.inf):
-            raise InputError.single("new", option, "an index n + kj with n above 0 and k of 0 or more", repr(name))
+        if not (0.0 < index.real <= _LARGEST_INDEX and 0.0 <= index.imag <= _LARGEST_INDEX):
+            expected = f"an index n + kj with n above 0 and k of 0 or more, at most {_LARGEST_INDEX:g}"
+            raise InputError.single("new", option, expected, repr(name))
         return Material(n=index.real, k=index.imag), f"index {name}", f"{{ n = {index.real!r}, k = {index.imag!r} }}"
     if name.lower().endswith(".csv"):
         # Of real paths: `..` in a path through a linked folder starts where the link leads.

@@ -94,6 +94,7 @@ def test_what_cannot_work_is_refused() -> None:
     for arguments, message in (
         ((-5.0, "2.4"), "a wavelength above 0"),
         ((532.0, "60"), "whose period holds sizes"),
+        ((532.0, "1e300"), "k of 0 or more, at most 100"),
         ((532.0, "unobtainium"), "a material such as"),
         ((2500.0, "TiO2"), "a record with 2500 nm"),
         ((532.0, "1.2"), "index of 1.3 or more"),
@@ -102,5 +103,7 @@ def test_what_cannot_work_is_refused() -> None:
     ):
         with pytest.raises(InputError, match=message):
             starting_cell(*arguments, substrate="1.45")
+    with pytest.raises(InputError, match="a substrate that light passes"):
+        starting_cell(532.0, "TiO2", substrate="0.1+3j")
     with pytest.raises(InputError, match="one of rectangle"):
         starting_cell(532.0, "TiO2", shape="star")
