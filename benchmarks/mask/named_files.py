@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -138,6 +139,11 @@ def _frames() -> dict[tuple[str, str], Callable[[], bytes]]:
     frames["a strip that inflates to 1 GiB", "tif"] = lambda: _tiff(100, zlib.compress(bytes(1 << 30), 9), 8)
     head = b"{'descr': '<f8', 'fortran_order': False, 'shape': (30000, 30000), }".ljust(117) + b"\n"
     frames["30000 x 30000 numbers", "npy"] = lambda: b"\x93NUMPY\1\0" + struct.pack("<H", len(head)) + head
+    frames["heaps that overlap", "h5"] = _overlapping_heaps
+    frames["a run of 600 MB", "tif"] = partial(_tiff, 100, b"\x81\0" * 4_900_000, 32773)
+    frames["8192 x 8192 zeros", "npz"] = partial(_zipped, np.zeros((8192, 8192), dtype=np.uint8), zipfile.ZIP_DEFLATED)
+    frames["4000 x 4000 zeros by bzip2", "npz"] = partial(_zipped, np.zeros((4000, 4000)), zipfile.ZIP_BZIP2)
+    frames["a plain text of numbers", "png"] = lambda: b"P2\n8000 8000\n255\n" + b"1 " * 4_900_000
     for value in (np.nan, np.inf):
         frames[f"a frame of {value:g}", "npy"] = partial(_array_file, np.full((64, 64), value))
     return frames
@@ -153,6 +159,8 @@ def _designs(design: str) -> dict[str, Callable[[], bytes]]:
         "NUL in a name": design.replace(quoted, 'name = "\\u0000helix', 1),
         "a key of 50 000 parts": ".".join(["a"] * 50_000) + " = 1\n" + design,
         "a head of 50 000 parts": design + "\n[" + ".".join(["a"] * 50_000) + "]\n",
+        "1.9 million escaped quotes": 'a = "' + '\\"' * 1_900_000 + '"\n' + design,
+        "330 000 unknown keys": "".join(f"a{number} = 1\n" for number in range(330_000)) + design,
         "10 MB of comment": design + "# " + "x" * 9_900_000 + "\n",
     }
     return {name: partial(str.encode, text) for name, text in texts.items()}
@@ -253,6 +261,19 @@ def _frame(replace: Callable[[h5py.File], object]) -> bytes:
         made = replace(file)
         if isinstance(made, h5py.Dataset):
             made.attrs.update({name: attributes[name] for name in ("units", "description")})
+    return stream.getvalue()
+
+
+def _overlapping_heaps() -> bytes:
+    """A raw frame behind which 150 000 heaps of texts all reach to one list of 300 000."""
+    heads = (b"GCOL\1\0\0\0" + struct.pack("<QQQ", 1 << 40, 1, 32 * left) for left in reversed(range(150_000)))
+    return _raw_frame() + b"".join(heads) + struct.pack("<QQ", 1, 0) * 300_000
+
+
+def _zipped(array: np.ndarray[Any, Any], compression: int) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", compression) as file:
+        file.writestr("frame.npy", _array_file(array))
     return stream.getvalue()
 
 

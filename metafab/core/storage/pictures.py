@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 
 _SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy", ".npz": "npz"}
 #: Most pixels of a picture, times its colours or pages, unless the limit ``memory_mb`` is stated: 512 MiB of floats. A
-#: file of up to 10 MB holds a quarter, and 64 more for each further byte; a frame takes 50 bytes a pixel to decode.
+#: file of up to 10 MB holds 4096 x 3072, and 64 more for each further byte; a frame takes 59 bytes a pixel to decode.
 _MOST_SAMPLES, _BYTES_OF_A_SAMPLE = 1 << 26, 8
-_SMALL_FILE_BYTES, _MOST_SAMPLES_OF_A_SMALL_FILE = 10**7, 1 << 24
+_SMALL_FILE_BYTES, _MOST_SAMPLES_OF_A_SMALL_FILE = 10**7, 3 << 22
 #: Longest side of a picture (pixels); no image sensor has more.
 _LONGEST_SIDE_PX = 1 << 16
 #: Most pages of a TIFF; each costs 0.1 ms.
@@ -74,8 +74,8 @@ def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float
 def read_array(path: Path) -> np.ndarray:
     """Read the array of a picture file, of any shape and type: the pages of a TIFF are its first axis.
 
-    The file is .tif, .tiff, .png or .npy, or an .npz of one array, of at most 2**24 values (2**26 in a large file), or
-    what ``memory_mb`` allows; else InputError.
+    The file is .tif, .tiff, .png or .npy, or an .npz of one array, of at most 12.6 million values (67 million in a
+    large file), or what ``memory_mb`` allows; else InputError.
     """
     kind = _SUFFIXES.get(path.suffix.lower())
     if kind is None:

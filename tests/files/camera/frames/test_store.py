@@ -10,6 +10,7 @@ import pytest
 
 from metafab.camera import RawFrame, capture, load, save
 from metafab.core.errors import InputError
+from metafab.core.storage.hdf5 import SEAL_BYTES
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
@@ -45,6 +46,18 @@ def test_datasets_have_units_descriptions_and_scales(frame: RawFrame, tmp_path: 
             assert file[name].attrs["description"]
             assert file[name].dims[0].keys() == ["y_um"]
             assert file[name].dims[1].keys() == ["x_um"]
+
+
+def test_a_frame_of_too_many_pixels_is_refused_before_it_is_read(frame: RawFrame, tmp_path: Path) -> None:
+    """A file of some kilobytes states 25 million zeros, each of which takes 59 bytes to decode."""
+    path = tmp_path / "raw.h5"
+    save(frame, path)
+    path.write_bytes(path.read_bytes()[:-SEAL_BYTES])
+    with h5py.File(path, "r+") as file:
+        del file["frame"]
+        file.create_dataset("frame", (5000, 5000), "u1", chunks=(1000, 1000), compression="gzip")
+    with pytest.raises(InputError, match=r"at most 1\.26e\+07 values"):
+        load(path)
 
 
 @pytest.mark.parametrize("kind", ["missing", "empty", "foreign", "truncated"])
