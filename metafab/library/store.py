@@ -18,6 +18,7 @@ from metafab.core.errors import InputError
 from metafab.core.figures import BuildStatistics, CornerStatistics
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import plain
+from metafab.core.storage.limits import beyond, limit
 from metafab.library.corners import Corners
 from metafab.library.fit.models import RankedModels
 from metafab.library.fit.rational import Range, RationalModel, Shape
@@ -25,6 +26,9 @@ from metafab.library.library import Library, inputs_of
 from metafab.library.neighbours.storage import neighbours_of, put_neighbours
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.toml import LIBRARY_FORMAT, LIBRARY_KIND, embedded_unit_cell
+
+#: Memory of a library in use, bytes: the least of its limit, for each byte of its file, and for each size.
+_BYTES, _EXPANSION, _BYTES_OF_A_SIZE = 256e6, 32, 256
 
 Statistics = TypeVar("Statistics", BuildStatistics, CornerStatistics)
 
@@ -79,6 +83,11 @@ def load(path: Path | str) -> Library:
     A file that is missing, truncated, of another kind, newer or inconsistent raises InputError.
     """
     with hdf5.open_kind(path, kind=LIBRARY_KIND, format_version=LIBRARY_FORMAT, remedy=_REMEDY) as file:
+        most_mb = limit("memory_mb", 1e-6 * max(_BYTES, Path(path).stat().st_size * _EXPANSION))
+        taken_mb = 1e-6 * _BYTES_OF_A_SIZE * max(file[name].size for name in (*_AMPLITUDES, "error"))
+        if taken_mb > most_mb:
+            expected = f"at most {1e6 * most_mb / _BYTES_OF_A_SIZE:.3g} sizes"
+            raise beyond(str(path), "sizes", "memory_mb", expected, f"{file['t_xx'].shape}")
         wavelength_nm, length_nm, width_nm = (np.asarray(file[name][()], dtype=np.float64) for name in _AXES)
         t_xx, t_yy, r_xx, r_yy = amplitudes = [_complex(file, name) for name in _AMPLITUDES]
         error = np.asarray(file["error"][()], dtype=np.float64)

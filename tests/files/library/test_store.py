@@ -11,6 +11,7 @@ import pytest
 
 from metafab import library
 from metafab.core.errors import InputError
+from metafab.core.storage.hdf5 import SEAL_BYTES
 from metafab.library import Library
 from metafab.library.library import inputs_of
 from metafab.spec import UnitCell
@@ -83,6 +84,15 @@ def test_missing_and_misshapen_datasets_are_refused(path: Path) -> None:
     with h5py.File(path, "a") as file:
         file["t_yy"] = values[:, :-1]
     with pytest.raises(InputError, match="shape"):
+        library.load(path)
+
+
+def test_a_small_file_holds_no_library_of_millions_of_sizes(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-SEAL_BYTES])
+    with h5py.File(path, "r+") as file:
+        del file["t_xx"]
+        file.create_dataset("t_xx", (1, 2000, 1000), "c16", chunks=(1, 1000, 1000), compression="gzip")
+    with pytest.raises(InputError, match=r"at most 1e\+06 sizes"):
         library.load(path)
 
 
