@@ -29,8 +29,8 @@ _MOST_SAMPLES, _BYTES_OF_A_SAMPLE = 1 << 26, 8
 _SMALL_FILE_BYTES, _MOST_SAMPLES_OF_A_SMALL_FILE = 10**7, 3 << 22
 #: Longest side of a picture (pixels); no image sensor has more.
 _LONGEST_SIDE_PX = 1 << 16
-#: Most pages of a TIFF; each costs 0.1 ms.
-_MOST_PAGES = 1 << 15
+#: Most pages of a TIFF; of unlike shapes they take a time that grows with their square, more than 20 s for 32 767.
+_MOST_PAGES = 1 << 13
 #: Arrays of an .npz file, and how NumPy compresses them; the other ways of zip files inflate ten times more slowly.
 _MOST_ARRAYS, _OF_NUMPY = 1 << 10, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 #: Makes what inflates a strip or tile, by the compressions of TIFF that tifffile inflates by itself at any ratio.
