@@ -192,8 +192,9 @@ def _examine(
     folder: Path,
     limit_s: float,
 ) -> None:
-    held = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (held + LIMIT_BYTES,) * 2)
+    # Memory that can be written to; addresses that threads only reserve take none.
+    held = int(Path("/proc/self/statm").read_text().split()[5]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_DATA, (held + LIMIT_BYTES,) * 2)
     for seed in seeds:
         path = _written(folder / f"hostile.{kind}", make(seed))
         signal.setitimer(signal.ITIMER_PROF, _END_S)

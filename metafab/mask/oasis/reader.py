@@ -458,6 +458,7 @@ class _Pass:
         cell.shape_count += count
         self._reader.budget.work(_SECONDS_OF_A_RECTANGLE * int(count))
         if not self._indexing:
-            self._rectangles.append(out[:count])
+            # A short run gives back what it did not fill: a view would keep all of it.
+            self._rectangles.append(out[:count] if 2 * count > capacity else out[:count].copy())
             self._collected += int(count)
         return True

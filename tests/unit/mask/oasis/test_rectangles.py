@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from itertools import accumulate
 from pathlib import Path
 
@@ -71,6 +72,14 @@ def repetitions(draw: st.DrawFn) -> tuple[bytes, list[Step]]:
     return head + tail, _list(steps, grid if on_grid else 1)
 
 
+def _file(path: Path, records: bytes) -> Path:
+    """An OASIS file of one cell."""
+    head = MAGIC + bytes([START]) + string("1.0") + b"\x00" + unsigned(2000) + bytes(13)
+    end = bytes([END]) + unsigned(252) + bytes(253)
+    path.write_bytes(head + bytes([CELL]) + string("T") + records + end)
+    return path
+
+
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(lists=st.lists(repetitions(), min_size=1, max_size=4), again=st.booleans())
 def test_compiled_and_single_records_follow_the_standard(
@@ -82,12 +91,22 @@ def test_compiled_and_single_records_follow_the_standard(
         records += bytes([RECTANGLE, 0b0111_1111, 1, 0]) + unsigned(7 + place) + unsigned(9)
         records += signed(-40 * place) + signed(3 - place) + repetition
         expected += [(x - 40 * place, y + 3 - place, 7 + place, 9) for x, y in offsets]
-    head = MAGIC + bytes([START]) + string("1.0") + b"\x00" + unsigned(2000) + bytes(13)
-    path = tmp_path / "repetitions.oas"
-    end = bytes([END]) + unsigned(252) + bytes(253)
-    path.write_bytes(head + bytes([CELL]) + string("T") + records + end)
+    path = _file(tmp_path / "repetitions.oas", records)
     for known in (KnownShapes(), _OneByOne()):
         cell = OasisReader(path, (1, 0, 0), known=known).cells["T"]
         boxes = np.concatenate([chunk.rectangles for chunk in cell.shapes()])
         assert cell.shape_count == len(boxes)
         assert boxes.tolist() == [list(box) for box in expected]
+
+
+def test_many_short_runs_take_the_memory_of_their_rectangles(tmp_path: Path) -> None:
+    """Rectangles of another layer end each run after one; 2 MB were kept for each, 1.2 GB in all."""
+    pair = b"".join(bytes([RECTANGLE, 0b0111_1011, layer, 0, 7, 9, 2, 2]) for layer in (1, 2))
+    path = _file(tmp_path / "runs.oas", pair * 600)
+    tracemalloc.start()
+    cell = OasisReader(path, (1, 0, 0), known=KnownShapes()).cells["T"]
+    boxes = np.concatenate([chunk.rectangles for chunk in cell.shapes()])
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert len(boxes) == 600
+    assert peak < 20e6
