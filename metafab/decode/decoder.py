@@ -16,7 +16,7 @@ from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import Progress, silent
 from metafab.decode.evaluation.metrics import evaluated
 from metafab.decode.image import Image4D
-from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m
+from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages
 from metafab.decode.images.unmixing import Unmixing
@@ -221,7 +221,7 @@ class Decoder:
         depths = repeated(label, step, shape), vergences
         sharp = self.deconvolver(tiles.result(), prepared.levels, *depths, prepared.twins.broken)
         # Images stay: deconvolved again at the depths of moved outlines, they would be 0.3 dB worse.
-        regions = moved_outlines(regions, sharp, step)
+        regions = moved_outlines(regions, sharp, step, lit_pixels(prepared, sharp))
         maps = PixelMaps.of(prepared, pixels, regions, sharp)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 

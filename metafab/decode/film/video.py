@@ -22,7 +22,7 @@ from metafab.decode.evaluation.metrics import evaluated
 from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
 from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track
 from metafab.decode.image import Image4D
-from metafab.decode.images.compose import PixelMaps, focus_depths
+from metafab.decode.images.compose import PixelMaps, focus_depths, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import SharpImages, TileSpectra
 from metafab.decode.matching.cost_volume import CostVolume
@@ -150,7 +150,7 @@ class VideoDecoder:
         regions = remeasured(tracked.regions, volume, step)
         redrawn = parts if regions is tracked.regions else [(slice(0, rows), slice(0, columns))]
         sharp = self._deconvolved(prepared, last, regions, parts, affected, tiles.result())
-        regions = self._moved(regions, sharp, parts, changed)
+        regions = self._moved(prepared, regions, sharp, parts, changed)
         patches = []
         for part in redrawn:
             around, frame_slices = self._surroundings(part), self.decoder.filters.downsampling.frame_slices
@@ -160,15 +160,22 @@ class VideoDecoder:
         maps = last.maps.updated(tracked.number, patches)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 
-    def _moved(self, regions: Regions, sharp: SharpImages, parts: list[Part], changed: NDArray[np.bool_]) -> Regions:
+    def _moved(
+        self,
+        prepared: PreparedFrame,
+        regions: Regions,
+        sharp: SharpImages,
+        parts: list[Part],
+        changed: NDArray[np.bool_],
+    ) -> Regions:
         """Segments whose outlines in the parts stand where the contrast changes; ``regions`` if they all do."""
         downsampling = self.decoder.filters.downsampling
         for part in parts:
             around = self._surroundings(part)
             local = regions.within(*around)
-            moved = moved_outlines(
-                local, sharp.within(*downsampling.frame_slices(*around)), downsampling.step, changed[around]
-            )
+            sharp_part = sharp.within(*downsampling.frame_slices(*around))
+            lit = lit_pixels(prepared.within(*around), sharp_part)
+            moved = moved_outlines(local, sharp_part, downsampling.step, lit, changed[around])
             if moved is not local:
                 arrays = {name: getattr(regions, name).copy() for name in ("label", "interior", "grown", "right")}
                 for name, array in arrays.items():

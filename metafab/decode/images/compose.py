@@ -85,8 +85,7 @@ class PixelMaps:
         step, shape = prepared.downsampling.step, prepared.twins.grid.shape
         with kept_threads() as pool:
             depths = pool.submit(depth_maps, pixels, regions, step, shape)
-            light = window_means(sharp.images[0] + sharp.images[1], 3)
-            lit = np.asarray(light > repeated(prepared.sharp_floor_e, step, shape)) & ~prepared.twins.bad
+            lit = lit_pixels(prepared, sharp)
             contrast, contrast_error = pixel_contrast(sharp, prepared.levels.read_noise_e, lit)
         maps = depths.result()
         intensity_x, intensity_y = sharp.images.astype(np.float64)
@@ -143,6 +142,13 @@ class PixelMaps:
             segments=_segment_figures(regions, light, step, prepared.levels.read_noise_e),
             figures=figures,
         )
+
+
+def lit_pixels(prepared: PreparedFrame, sharp: SharpImages) -> NDArray[np.bool_]:
+    """Pixels that have light in the sharp images of a frame, or of a part of it: shape (n_y, n_x)."""
+    light = window_means(sharp.images[0] + sharp.images[1], 3)
+    floor_e = repeated(prepared.sharp_floor_e, prepared.downsampling.step, light.shape)
+    return np.asarray(light > floor_e) & ~prepared.twins.bad
 
 
 @dataclass(frozen=True)

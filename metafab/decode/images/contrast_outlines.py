@@ -13,6 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
+from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
@@ -38,13 +40,20 @@ _LEAST_DOUBT = 1e-3
 _MOVED_RIGHT, _DOUBT_LEFT = 0.86, 0.15
 
 
-def moved_outlines(regions: Regions, sharp: SharpImages, step: int, where: NDArray[np.bool_] | None = None) -> Regions:
+def moved_outlines(
+    regions: Regions,
+    sharp: SharpImages,
+    step: int,
+    lit: NDArray[np.bool_],
+    where: NDArray[np.bool_] | None = None,
+) -> Regions:
     """Segments with outlines where the contrast changes; ``regions`` itself where no two of them differ in it.
 
     Args:
         regions: segments, with the probability that each pixel is in the right one.
         sharp: sharp images.
         step: frame pixels from one downsampled pixel to the next.
+        lit: shape of the sharp images, pixels that have light in them.
         where: shape (n_y, n_x), pixels that may change; all by default.
     """
     if len(regions.depths) < 2 or regions.right is None:
@@ -68,9 +77,11 @@ def moved_outlines(regions: Regions, sharp: SharpImages, step: int, where: NDArr
     prior = np.clip(regions.right, _LEAST_DOUBT, 1.0 - _LEAST_DOUBT)
     right = 1.0 / (1.0 + (1.0 / prior - 1.0) * np.exp(-odds))
     moved = connected_moves(label, np.where(asked & (right < 0.5), across, 0))
+    has_light = _block_sums(np.broadcast_to(lit, (1, *lit.shape)).astype(np.float32), step, label.shape)[0] > 0.0
+    moved = _with_cut_off(label, moved, has_light, (regions.interior == label) | ~asked)
     number = np.where(moved > 0, moved, label)
     kept = right * (1.0 - _DOUBT_LEFT * (1.0 - prior))
-    right = np.where(moved > 0, _MOVED_RIGHT * (1.0 - right), np.where(asked, kept, regions.right))
+    right = np.where(moved > 0, _MOVED_RIGHT * (1.0 - np.minimum(right, 0.5)), np.where(asked, kept, regions.right))
     return replace(
         regions,
         label=np.where((moved > 0) & (regions.label > 0), moved, regions.label).astype(np.int32),
@@ -78,6 +89,29 @@ def moved_outlines(regions: Regions, sharp: SharpImages, step: int, where: NDArr
         grown=number.astype(np.int32),
         right=right,
     )
+
+
+def _with_cut_off(
+    label: NDArray[np.int32], moved: NDArray[np.int32], lit: NDArray[np.bool_], sure: NDArray[np.bool_]
+) -> NDArray[np.int32]:
+    """Moved pixels with the slivers that they cut off: a window on an outline mixes both contrasts, and stays behind.
+
+    Args:
+        label: shape (n_y, n_x), segments before.
+        moved: shape (n_y, n_x), new segment of the pixels that move; 0 elsewhere.
+        lit: shape (n_y, n_x), pixels that are lit in the sharp images.
+        sure: shape (n_y, n_x), pixels that are no sliver's: in the interior of their segment, or surely in it.
+    """
+    taken = moved.copy()
+    for number in np.unique(label[moved > 0]).tolist():
+        piece, count = connected_components((label == number) & (moved == 0) & lit)
+        is_body = np.zeros(count + 1, dtype=bool)
+        is_body[piece[sure]] = True
+        for other in np.unique(moved[(moved > 0) & (label == number)]).tolist():
+            beside = np.zeros(count + 1, dtype=bool)
+            beside[piece[binary_dilation(moved == other)]] = True
+            taken[(piece > 0) & (beside & ~is_body)[piece]] = other
+    return taken
 
 
 def _log_ratio(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -> FloatArray:
@@ -91,10 +125,10 @@ def _log_ratio(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -
 
 @compiled
 def _block_sums(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Sums of images (2, n_y, n_x) over the block of ``step`` pixels about each downsampled pixel: (2, *shape)."""
-    _, n_y, n_x = images.shape
-    sums = np.zeros((2, shape[0], shape[1]), dtype=np.float32)
-    for image in range(2):
+    """Sums of images (n, n_y, n_x) over the block of ``step`` pixels about each downsampled pixel: (n, *shape)."""
+    n_images, n_y, n_x = images.shape
+    sums = np.zeros((n_images, shape[0], shape[1]), dtype=np.float32)
+    for image in range(n_images):
         for i in range(n_y):
             to, line = sums[image, min((i + step // 2) // step, shape[0] - 1)], images[image, i]
             for j in range(n_x):

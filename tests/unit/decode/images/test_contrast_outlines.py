@@ -13,6 +13,7 @@ from metafab.decode.segmentation.segments import Regions, SegmentDepth
 
 STEP, SHAPE = 4, (40, 60)
 EDGE = 30
+LIT = np.ones((SHAPE[0] * STEP, SHAPE[1] * STEP), dtype=bool)
 
 
 def regions(label: NDArray[np.int32], right: float | None = 0.8) -> Regions:
@@ -48,7 +49,7 @@ def straight() -> NDArray[np.bool_]:
 @pytest.mark.parametrize("contrast", [0.6, 1.3, 2.5])
 def test_an_outline_moves_to_where_the_contrast_changes(contrast: float) -> None:
     before = regions(scalloped())
-    after = moved_outlines(before, sharp(contrast), STEP)
+    after = moved_outlines(before, sharp(contrast), STEP, LIT)
     wrong = [int(((one.grown == 2) != straight()).sum()) for one in (before, after)]
     assert wrong[0] > 60
     # A window of 7 pixels across the edge holds both: the pixels next to it may go either way.
@@ -65,16 +66,16 @@ def test_an_outline_moves_to_where_the_contrast_changes(contrast: float) -> None
 
 def test_equal_contrasts_and_a_fast_segmentation_change_nothing() -> None:
     before = regions(scalloped())
-    assert moved_outlines(before, sharp(1.0), STEP) is before
+    assert moved_outlines(before, sharp(1.0), STEP, LIT) is before
     unjudged = regions(scalloped(), right=None)
-    assert moved_outlines(unjudged, sharp(2.5), STEP) is unjudged
+    assert moved_outlines(unjudged, sharp(2.5), STEP, LIT) is unjudged
     alone = regions(np.ones(SHAPE, dtype=np.int32))
-    assert moved_outlines(alone, sharp(2.5), STEP) is alone
+    assert moved_outlines(alone, sharp(2.5), STEP, LIT) is alone
 
 
 def test_only_asked_pixels_move() -> None:
     before, upper = regions(scalloped()), np.indices(SHAPE)[0] < 20
-    after = moved_outlines(before, sharp(2.5), STEP, upper)
+    after = moved_outlines(before, sharp(2.5), STEP, LIT, upper)
     np.testing.assert_array_equal(after.grown[20:], before.grown[20:])
     assert (after.grown[:20] != before.grown[:20]).any()
 
@@ -83,5 +84,26 @@ def test_no_island_of_another_segment_is_made() -> None:
     """A spot of the other contrast within the reach, but not connected with its segment, stays."""
     images = sharp(2.5)
     images.images[:, 60:76, 60:76] = images.images[:, 60:76, 200:216]
-    after = moved_outlines(regions(scalloped()), images, STEP)
+    after = moved_outlines(regions(scalloped()), images, STEP, LIT)
     assert (after.grown[15:19, 15:19] == 1).all()
+
+
+def test_a_sliver_that_is_cut_off_goes_with_the_pixels_that_cut_it_off() -> None:
+    """Segment 1 lies over the outermost columns of segment 2; of these, windows on the rim mix both contrasts."""
+    column = np.indices(SHAPE)[1]
+    label = np.where((column >= EDGE) & (column < EDGE + 5), 1, scalloped())
+    label[:, EDGE - 4 : EDGE] = 1
+    images, dark = sharp(2.5), (EDGE - 2) * STEP
+    images.images[:, :, EDGE * STEP - 2 : (EDGE + 1) * STEP] = images.images[:, :, 8 : 10 + STEP]
+    lit = LIT.copy()
+    lit[:, dark - 2 * STEP : dark + STEP] = False
+    before = regions(label.astype(np.int32))
+    after = moved_outlines(before, images, STEP, lit)
+    in_gap_lit = moved_outlines(before, images, STEP, LIT)
+    assert (before.grown[:, EDGE : EDGE + 5] == 1).all()
+    assert (after.grown[:, EDGE : EDGE + 5] == 2).all()
+    # While light joins them with their segment, they stay.
+    assert (in_gap_lit.grown[:, EDGE] == 1).all()
+    assert (after.grown[:, : EDGE - 4] == 1).all()
+    assert after.right is not None
+    assert after.right[:, EDGE].max() < 0.5
