@@ -221,8 +221,9 @@ class Decoder:
         depths = repeated(label, step, shape), vergences
         sharp = self.deconvolver(tiles.result(), prepared.levels, *depths, prepared.twins.broken)
         # Images stay: deconvolved again at the depths of moved outlines, they would be 0.3 dB worse.
-        regions = moved_outlines(regions, sharp, step, lit_pixels(prepared, sharp))
-        maps = PixelMaps.of(prepared, pixels, regions, sharp)
+        lit = lit_pixels(prepared, sharp)
+        regions = moved_outlines(regions, sharp, step, lit)
+        maps = PixelMaps.of(prepared, pixels, regions, sharp, lit)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 
     def image(self, decoded: DecodedFrame) -> Image4D:

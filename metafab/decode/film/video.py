@@ -154,8 +154,9 @@ class VideoDecoder:
         patches = []
         for part in redrawn:
             around, frame_slices = self._surroundings(part), self.decoder.filters.downsampling.frame_slices
-            local = prepared.within(*around), pixels.within(*around), regions.within(*around)
-            maps = PixelMaps.of(*local, sharp.within(*frame_slices(*around)))
+            local, sharp_part = prepared.within(*around), sharp.within(*frame_slices(*around))
+            of_part = local, pixels.within(*around), regions.within(*around), sharp_part
+            maps = PixelMaps.of(*of_part, lit_pixels(local, sharp_part))
             patches.append((frame_slices(*part), maps, frame_slices(*around)))
         maps = last.maps.updated(tracked.number, patches)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)

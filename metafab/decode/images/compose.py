@@ -80,12 +80,18 @@ class PixelMaps:
     lit: NDArray[np.bool_]  #: Shape (n_y, n_x), whether a pixel has light.
 
     @classmethod
-    def of(cls, prepared: PreparedFrame, pixels: PixelDepth, regions: Regions, sharp: SharpImages) -> PixelMaps:
-        """The maps of a frame, or of a part of it."""
+    def of(
+        cls,
+        prepared: PreparedFrame,
+        pixels: PixelDepth,
+        regions: Regions,
+        sharp: SharpImages,
+        lit: NDArray[np.bool_],
+    ) -> PixelMaps:
+        """The maps of a frame, or of a part of it; ``lit``, shape (n_y, n_x), are its :func:`lit_pixels`."""
         step, shape = prepared.downsampling.step, prepared.twins.grid.shape
         with kept_threads() as pool:
             depths = pool.submit(depth_maps, pixels, regions, step, shape)
-            lit = lit_pixels(prepared, sharp)
             contrast, contrast_error = pixel_contrast(sharp, prepared.levels.read_noise_e, lit)
         maps = depths.result()
         intensity_x, intensity_y = sharp.images.astype(np.float64)
