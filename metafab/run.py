@@ -8,7 +8,6 @@ one design gives the same bytes in every folder.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +24,7 @@ from metafab.core.parallel.work import Work
 from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, plain, whole_file, write_json
 from metafab.core.storage.lock import alone_in
 from metafab.core.storage.provenance import code_sha256, contents_sha256
-from metafab.core.storage.tables import DAMAGED, typed
+from metafab.core.storage.tables import DAMAGED, table_sha256, typed
 from metafab.spec import Design, canonical_toml
 from metafab.steps import RESULT_STEPS
 from metafab.steps.job import Job, Step, relative_to, with_targets
@@ -99,7 +98,7 @@ class Record:
     @classmethod
     def of(cls, inputs_sha256: str, outputs: dict[str, FileMark], figures: Any) -> Record:
         """Entry of a step with these figures."""
-        return cls(inputs_sha256, outputs, figures, _sha256(figures))
+        return cls(inputs_sha256, outputs, figures, table_sha256(plain(figures)))
 
     def files_unchanged(self, folder: Path, modified_ns: Mapping[str, int] = MappingProxyType({})) -> bool:
         """Whether every file is as the step left it; ``modified_ns`` are times of its last change, by name."""
@@ -269,7 +268,7 @@ def _read_records(folder: Path, steps: Sequence[Step]) -> dict[str, Record]:
     for step in steps:
         try:
             record = typed(Record, tables[step.name])
-            is_whole = _sha256(record.summary) == record.summary_sha256
+            is_whole = table_sha256(record.summary) == record.summary_sha256
         except DAMAGED:
             continue
         figures = _figures(step, record.summary) if is_whole else None
@@ -284,11 +283,6 @@ def _read_log(folder: Path) -> _Log:
         return typed(_Log, json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")))
     except (OSError, *DAMAGED):
         return _Log()
-
-
-def _sha256(figures: Any) -> str:
-    """Hash of a step's figures, as they are in memory or as JSON holds them."""
-    return hashlib.sha256(json.dumps(plain(figures), sort_keys=True).encode()).hexdigest()
 
 
 def _figures(step: Step, table: Any) -> Any:

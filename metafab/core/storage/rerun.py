@@ -20,7 +20,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from metafab.core.storage.tables import DAMAGED, typed
+from metafab.core.storage.tables import DAMAGED, table_sha256, typed
 
 _RERUN_FILE, _SUMMARY_FILE = ".rerun.json", "summary.json"
 #: Top-level name of a design, and size of a file (bytes) up to which it is looked for.
@@ -54,7 +54,7 @@ class Rerun:
     def keep(self, folder: Path) -> None:
         """Write ``.rerun.json`` into the run folder, with its own hash, so that a changed digit is noticed."""
         table = asdict(self)
-        _replace(folder / _RERUN_FILE, {**table, "sha256": _sha256(table)})
+        _replace(folder / _RERUN_FILE, {**table, "sha256": table_sha256(table)})
 
 
 def find_rerun(design: Path, output: Path | None, code: str) -> tuple[Rerun, Path] | None:
@@ -74,7 +74,7 @@ def find_rerun(design: Path, output: Path | None, code: str) -> tuple[Rerun, Pat
         else:
             folder = output
         table = json.loads((folder / _RERUN_FILE).read_text(encoding="utf-8"))
-        if table.pop("sha256") != _sha256(table):
+        if table.pop("sha256") != table_sha256(table):
             return None
         known = typed(Rerun, table)
         stated = (str(design.absolute()), str(folder.resolve()), code)
@@ -133,10 +133,6 @@ def code_mark(package: Path = _PACKAGE) -> str:
     except OSError:
         return ""
     return digest.hexdigest()
-
-
-def _sha256(table: Any) -> str:
-    return sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
 
 def _files(folder: str) -> Iterator[str]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import field, fields, is_dataclass
+from hashlib import sha256
 from numbers import Integral
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -14,6 +16,11 @@ Figures = TypeVar("Figures")
 
 #: What reading a damaged table raises: JSON that is none or nested too deeply, keys that are missing, other types.
 DAMAGED = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
+
+
+def table_sha256(table: Any) -> str:
+    """Hexadecimal SHA-256 of a table as JSON holds it, in whatever order its keys stand."""
+    return sha256(json.dumps(table, sort_keys=True).encode()).hexdigest()
 
 
 def optional() -> Any:
