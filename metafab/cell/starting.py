@@ -40,12 +40,13 @@ _RECORDS = {
 }
 _WIDEST, _MARGIN = 1.65, 0.93
 _LEAST_INDEX = 1.3
-#: Largest index that is taken for one, and largest extinction of a substrate over its index, for light to pass it.
+#: Largest number that is accepted as an index, and largest extinction of a substrate over its index, for light to pass
+#: it.
 _LARGEST_INDEX, _DIMMEST = 100.0, 0.1
 #: Heights that are tried, in turns of phase; between them, at 2.2 turns, two modes of the larger pillars of titanium
 #: dioxide or silicon cancel behind the pillars: 37 to 61 % of the crosses pass less than half of the light.
 _TURNS = (1.85, 2.2, 2.6, 3.0)
-#: Efficiency below the best height's that a lower height may have.
+#: Loss of efficiency, against the best height, up to which a lower height is preferred.
 _NEARLY = 0.02
 #: Cosines (RCWA) and polynomial order (rings) of the search; t is off by some 1e-2. 4 and 27 ms a cell on one core.
 _COSINES, _ORDER = 6, 3
@@ -65,7 +66,7 @@ _ERROR = {"rectangle": 2e-3, "cross": 2e-2, "ellipse": 2e-3, "circle": 2e-3, "ri
 
 @dataclass(frozen=True)
 class StartingCell:
-    """Unit-cell file, and what its sizes can do."""
+    """Unit-cell file, with the phase coverage and efficiency of its sizes."""
 
     text: str  #: Commented unit-cell file (TOML).
     reach_rad: float  #: Covered part of the phase circle by the sizes that transmit half of the light or more.
@@ -187,7 +188,7 @@ name = "rcwa"
 def _fields(cell: PillarCell, sizes_nm: FloatArray, axes: int) -> ComplexArray:
     """Power-normalised zero-order t of either polarisation, shape (n,), at ``sizes_nm`` along one or each of two axes.
 
-    Of a size and its mirror image one is solved: a polarisation takes the other's phases at the mirror image.
+    Of a size and its mirror image only one is solved: x light at one is y light at the other.
     """
     t: list[complex] = []
     for width_nm in sizes_nm.tolist():

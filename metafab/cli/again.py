@@ -10,7 +10,7 @@ from metafab.core.storage.rerun import code_mark, find_rerun
 
 
 def answer_again(arguments: Sequence[str]) -> int | None:
-    """Print what an unchanged run answers, and return the exit code; None if the program has to look for itself.
+    """Print the answer of an unchanged run and return its exit code; None if the program has to run.
 
     Known are ``run DESIGN.toml`` with ``-o DIR`` and ``--json``; other arguments are left to the program.
     """

@@ -120,7 +120,7 @@ def compare(design: Design, *, planes: int = 6, contrast: float = 0.25, progress
     Args:
         design: its ``verify`` depths span the range, its scene gives light and noise (without one, a scene's defaults).
             InputError without a split lens, or for nothing but a lens.
-        planes: photographs a depth, each of another texture.
+        planes: photographs at each depth, each of another texture.
         contrast: rms over mean of the texture.
     """
     nearest, farthest = 1.0 / design.verify.depths_m[0], 1.0 / design.verify.depths_m[-1]

@@ -59,8 +59,8 @@ def wrap_phase(phase_rad: ArrayLike) -> FloatArray:
 def covered_rad(phase_rad: FloatArray, within_rad: float = 0.1) -> float:
     """Part of the phase circle, rad, that phases cover: the larger of two measures; shape (n,) in (-pi, pi].
 
-    The first is the part at most ``within_rad`` from one of them. The second is for few phases: n of them, evenly
-    spaced, cover their span and one step more, so that n steps of 2 pi / n cover the circle and equal phases nothing.
+    The first is the part of the circle within ``within_rad`` of any phase. The second, for few phases, takes n phases
+    in steps of 2 pi / n as the whole circle, and equal phases as nothing.
     """
     n = phase_rad.size
     if n == 0:

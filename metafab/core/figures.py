@@ -83,7 +83,7 @@ class LineStatistics:
     """Errors of one chain on solved rows, relative rms of the transmitted field over the propagating orders."""
 
     rows: int = 0  #: Rows that the chain was fitted to.
-    held_out: int = 0  #: Rows that only the errors below were taken from.
+    held_out: int = 0  #: Rows kept out of the fit, from which the errors below were taken.
     local_period_error: float = math.nan  #: Rms error of the local-period approximation on the held-out rows.
     error: float = math.nan  #: Rms error of the chain on the held-out rows.
     error_unlike: float = math.nan  #: Rms error on held-out rows of random sizes.
@@ -124,7 +124,7 @@ class Quality:
 
 @dataclass(frozen=True)
 class Remedy:
-    """A change that lowers the cost of a filter."""
+    """A change of the design that reduces the loss of depth accuracy by a wide filter."""
 
     change: str  #: Description.
     information_kept: float  #: Information over that of one wavelength with the same electrons.
@@ -153,13 +153,13 @@ class MappingFigures:
     #: Retardance (mean phase of y polarisation minus that of x) less that of the design's targets, in (-pi, pi]; chosen
     #: to suit the library unless ``rules.retardance`` keeps it.
     retardance_error_rad: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
-    #: That share by the library's model of neighbours, where sizes were chosen by it.
+    #: ``efficiency`` by the library's model of neighbours, where sizes were chosen by it.
     neighbour_efficiency: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
-    #: The same of the sizes that suit lone pillars best.
+    #: ``neighbour_efficiency`` of the sizes that suit lone pillars best.
     neighbour_efficiency_before: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     #: Rms phase error of the field among neighbours, averaged along rows over about a period, with the chosen sizes.
     neighbour_phase_rms_error_rad: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
-    #: The same of the sizes that suit lone pillars best.
+    #: ``neighbour_phase_rms_error_rad`` of the sizes that suit lone pillars best.
     neighbour_phase_rms_error_before_rad: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     #: Error bound of the library in complex t, rms over the pillars.
     library_error: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
@@ -221,7 +221,7 @@ class Wavefront:
 
 @dataclass(frozen=True)
 class Loss:
-    """One factor of the chain."""
+    """One factor of the loss chain."""
 
     stage: str  #: Cause of the loss.
     factor: tuple[float, float] | None  #: Remaining share of x and of y polarised light; None if it was not measured.
@@ -249,15 +249,15 @@ class ToleranceRow:
     change: float  #: Relative L2 change of the irradiance.
     peak_ratio: float  #: Smallest peak over the nominal peak.
     efficiency: float  #: Smallest share of the power in the window.
-    efficiency_change: float  #: Signed change of that share of the largest modulus.
+    efficiency_change: float  #: Signed change of ``efficiency`` where its modulus is largest.
     #: Smallest ratio of wanted over unwanted light in the window of x; NaN where one window holds both polarisations.
     extinction_ratio: float
-    #: Signed turn of the main lobe of PSF_x of the largest modulus; NaN where the lobe lies on the image point.
+    #: Signed turn of the main lobe of PSF_x where its modulus is largest; NaN where the lobe lies on the image point.
     turn_deg: float
-    #: Signed error of the decoded depth of the largest modulus, over finite depths; NaN where the pair does not turn,
-    #: no trial depth agrees, or one window holds both images.
+    #: Signed error of the decoded depth where its modulus is largest, over finite depths; NaN where the pair does not
+    #: turn, no trial depth agrees, or one window holds both images.
     depth_error_m: float
-    #: Error of the changes over the changes, from the corner's amplitudes or the number of draws.
+    #: Relative error of these changes, from the error of the corner's amplitudes or the number of draws.
     relative_error: float
     draws: int = 0  #: Number of random masks; 0 for a corner of the cell.
     solved: int = 0  #: Number of cells solved for the row.
@@ -379,6 +379,6 @@ class FocusFigures:
     section_x: FloatArray  #: Shape (n,), cross-section along x over the maximum; likewise along y.
     section_y: FloatArray
     section_limit: FloatArray  #: Shape (n,), cross-section of the ideal lens along x.
-    radius_um: FloatArray  #: Shape (m,), radii of the next two.
+    radius_um: FloatArray  #: Shape (m,), radii of ``encircled`` and ``encircled_limit``.
     encircled: FloatArray  #: Shape (m,), share of the transmitted light within the radius.
     encircled_limit: FloatArray  #: Shape (m,), that of the ideal lens.

@@ -83,7 +83,7 @@ def _check_leftovers(read_back: ReadBack, design: Design) -> Findings:
 class _Band(NamedTuple):
     """Some rows of sites."""
 
-    row: int  #: The first of them.
+    row: int  #: The first of these rows.
     size_index: SizeIndexArray  #: Shape (rows, n_x).
     #: Shape (rows + 1, n_x), the rows and the next one; at the end of the lattice only the rows.
     and_next: SizeIndexArray

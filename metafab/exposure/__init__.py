@@ -6,7 +6,7 @@
 - ``correction``  corrected doses of several lenses, and their classes
 - ``sums``       compiled loops over pillars
 - ``prediction``  printed sizes of all pillars: statistics, map, process window
-- ``beside_lens``  what a mask holds beside a lens: other copies, frame, text, test structures
+- ``beside_lens``  shapes of a mask beside a lens: other copies, frame, text, test structures
 - ``shape``      sizes to draw at one dose
 - ``etch``       sizes after the etch: bias and microloading
 - ``expose``     :func:`expose`: printed sizes, corrected doses, dose classes

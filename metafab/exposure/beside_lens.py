@@ -1,4 +1,4 @@
-"""What a written mask holds beside one of its lenses, and how much of it is exposed with the lens.
+"""Shapes of a written mask beside one of its lenses, and those among them that are exposed with the lens.
 
 Other copies are read from the file. Frame, text, test structures and included cells are those of the design; the file
 gives the number of shapes on their layers.

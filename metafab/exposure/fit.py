@@ -54,7 +54,7 @@ _CONVERGENCE_MRAD, _WIDEST_NM = 5.0, 100.0
 _BLUR_NODES = 7
 #: Halvings of the interval of an edge's displacement (of up to 200 nm): to 1e-8 nm, for difference quotients.
 _HALVINGS = 35
-#: Largest correlation of two parameters that count as told apart.
+#: Largest correlation at which two parameters count as distinguishable.
 _MOST_CORRELATED = 0.9999
 #: Reach of an edge outwards (nm).
 _REACH_NM = 100.0
@@ -99,7 +99,7 @@ class ProcessFit:
     backscatter_ratio: FittedValue  #: Backscattered over forward-scattered energy.
     blur_nm: FittedValue  #: Range of the beam's blur.
     bias_nm: FittedValue  #: Measured less printed size, of the etch and of the microscope.
-    microloading_nm: FittedValue  #: Further, where the local density is larger by 1.
+    microloading_nm: FittedValue  #: Further change of size where the local density is larger by 1.
     convergence_mrad: FittedValue | None  #: Half angle of the beam; None where it is neither stated nor fitted.
     best_focus_um: FittedValue  #: Focus of the smallest blur.
     residual_rms_nm: float  #: Rms of measured less fitted sizes.
@@ -107,7 +107,7 @@ class ProcessFit:
     doses: int  #: Number of distinct doses.
     focuses: int  #: Number of distinct focuses.
     largest_correlation: float  #: Magnitude of the largest correlation between two fitted parameters.
-    correlated: tuple[str, ...]  #: These parameters.
+    correlated: tuple[str, ...]  #: Names of these two parameters.
     bias_map: BiasMap  #: Bias over the lens.
 
 

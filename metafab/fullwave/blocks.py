@@ -1,9 +1,9 @@
-"""Supercells asked for by a file: ``BLOCKS.json`` in, transmitted orders by one of four solvers out.
+"""Supercells of a file: ``BLOCKS.json`` in, transmitted orders by one of four solvers out.
 
 - ``model``  the library's model of coupled modes (:mod:`metafab.library.neighbours`)
 - ``rcwa``   modes of the layer in spectral elements, plane waves in the half spaces (:mod:`metafab.cell.elements`)
 - ``meep``   FDTD on several grids
-- ``lone``   the local-period approximation: each pillar as in a lattice of its like
+- ``lone``   the local-period approximation: each pillar as in a lattice of equal pillars
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _Sizes = Annotated[list[Annotated[list[NonNegative], Field(min_length=1)]], Fiel
 
 @dataclass(frozen=True, config=CONFIG)
 class Block:
-    """Pillars of one supercell, rows from the lowest y, columns from the lowest x; sizes of 0 are sites without one."""
+    """Pillars of one supercell, rows from the lowest y, columns from the lowest x; sizes of 0 mark empty sites."""
 
     width_nm: _Sizes  #: Size along x of each pillar.
     length_nm: _Sizes  #: Size along y of each pillar.
@@ -78,8 +78,8 @@ class Blocks:
 def read_blocks(path: Path, library: Library) -> list[Supercell]:
     """Read supercells of the library's unit cell.
 
-    InputError if the file is missing or holds faults (all of them are reported), or the unit cell is none that
-    supercells are solved for.
+    InputError if the file is missing or holds faults (all of them are reported), or supercells of this unit cell cannot
+    be solved.
     """
     try:
         most_mb = limit("memory_mb", _LARGEST_MB)
@@ -157,8 +157,8 @@ def solve_blocks(
 def lone_orders(supercell: Supercell, library: Library) -> SupercellOrders:
     """Transmitted orders by the local-period approximation, with the values of a library.
 
-    The error is the library's; of equal pillars that is all. Unlike neighbours add what :data:`_PER_STEP` says of the
-    steps from site to site. InputError if a size lies outside the library's sweep.
+    The error is the library's plus, for unlike neighbours, :data:`_PER_STEP` times the rms step of t from site to site.
+    InputError if a size lies outside the library's sweep.
     """
     start = time.perf_counter()
     pillar = np.all(supercell.size_nm > 0.0, axis=-1)

@@ -88,7 +88,7 @@ class PlaneEstimator:
 
     @cached_property
     def _expected_cepstra(self) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
-        """Ring of quefrencies that depend on depth, mean over depths there, and the deviation at each depth."""
+        """Quefrencies that depend on depth, their mean cepstrum over depths, and its deviation at each depth."""
         distance = np.hypot(*np.meshgrid(*[scipy.fft.fftfreq(self._side) * self._side] * 2))
         ring = (distance >= _QUEFRENCIES[0]) & (distance <= _QUEFRENCIES[1])
         signal = self._power(_CEPSTRUM_CONTRAST) * np.abs(self.transfer.sum(axis=1)) ** 2

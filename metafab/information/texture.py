@@ -1,4 +1,4 @@
-"""Light sources of the bounds: a random texture with a 1/f spectrum, and a point; both with the noise of their images.
+"""Sources of light for depth bounds: a random texture with a 1/f spectrum and a point, each with its image noise.
 
 The power of a texture falls as 1 / frequency^exponent (2 for natural scenes: Field, J. Opt. Soc. Am. A 4, 2379, 1987).
 Photon noise, dark current and read noise are independent, so their variances add.

@@ -151,7 +151,7 @@ def _itself(tile: PillarTile) -> PillarTile:
 
 
 def _nothing(tile: PillarTile) -> None:
-    """A tile that is not kept need not travel."""
+    """Result for a tile that is not kept, and so need not travel."""
 
 
 def _mapped(

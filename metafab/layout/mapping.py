@@ -1,4 +1,4 @@
-"""Mapping of one tile: target phases -> the best sizes, and the sums that say how well they fit."""
+"""Mapping of one tile: target phases -> the best sizes, and the sums that measure their fit."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class TileMapping:
     tile_sites: int  #: Sites per side of a tile.
     #: Chooses sizes jointly, starting from the look-up table; None where every pillar keeps the gap alone.
     joint: JointSizes | None = None
-    #: Chooses sizes for their light among neighbours, starting likewise; None where the library's t counts.
+    #: Chooses sizes for their light among neighbours, starting likewise; None to use the library's t alone.
     choice: NeighbourChoice | None = None
     lights: LightChoice | None = None  #: Chooses sizes for several lights; None for the light of ``profile`` alone.
     outline: Outline = RECTANGLE  #: Outline of the pillars, for their gaps.

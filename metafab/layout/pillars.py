@@ -196,7 +196,7 @@ class PillarMap(Displayed):
         return whole
 
     def bands(self, rows: int) -> Iterator[tuple[int, SizeIndexArray]]:
-        """First row and indices of every ``rows`` rows of sites, shape (rows + 1, n_x): the next row is with them.
+        """First row and indices of every ``rows`` rows of sites, shape (rows + 1, n_x), the next row included.
 
         The last band may be shorter. A map on disk takes the memory of a few bands.
         """

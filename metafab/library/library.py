@@ -185,7 +185,7 @@ class Library(Displayed):
         return SizeResponse(self.t_xx[0, row, column], self.t_yy[0, row, column], self.error_of_sizes[row, column])
 
     def warnings(self) -> list[str]:
-        """Return sentences about sizes beyond the target error, and about a model of neighbours that does not pay."""
+        """Return sentences about sizes beyond the target error and about a model of neighbours that lowers no error."""
         target, error = self.unit_cell.sweep.target_error, self.error_of_sizes
         found = []
         if self.neighbours is not None and not self.neighbours.pays:

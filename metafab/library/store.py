@@ -27,7 +27,8 @@ from metafab.library.neighbours.storage import neighbours_of, put_neighbours
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.toml import LIBRARY_FORMAT, LIBRARY_KIND, embedded_unit_cell
 
-#: Memory of a library in use, bytes: the least of its limit, for each byte of its file, and for each size.
+#: Limit on the memory of a library in use: its least value (bytes), and bytes for each byte of the file; need of each
+#: size.
 _BYTES, _EXPANSION, _BYTES_OF_A_SIZE = 256e6, 32, 256
 
 Statistics = TypeVar("Statistics", BuildStatistics, CornerStatistics)

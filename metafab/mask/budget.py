@@ -1,4 +1,4 @@
-"""What reading one mask file may take, spent before anything is expanded."""
+"""Budget of memory and time for reading one mask file, spent before anything is expanded."""
 
 from __future__ import annotations
 

@@ -40,10 +40,11 @@ _BLIND_DEPTHS = 10
 _SEARCH_SAMPLES = 64
 #: Places along a side of the aperture at which the mean slope of a target is taken.
 _SLOPE_PLACES = 128
-#: Distance over which the slope of a formula is taken, and of an array at least, periods: a jump by half a turn, as at
-#: an outline, then adds an eighth of a turn from pillar to pillar, and levels count as the slope that they stand for.
+#: Periods over which the slope of a formula, and at least over which that of an array, is taken. Over four periods a
+#: jump by half a turn, as at an outline, adds an eighth of a turn from pillar to pillar, and levels count as the slope
+#: that they approximate.
 _LOCAL, _WINDOW = 1e-3, 4.0
-#: Part by which rounding may lift a phase that turns by exactly half a turn from pillar to pillar.
+#: Relative rounding of a phase step of exactly half a turn from pillar to pillar.
 _ROUNDING = 1e-6
 #: The direction that was found last; each step of a run needs it.
 _DIRECTIONS: Latest[tuple[tuple[float, float], tuple[float, float]]] = Latest()
@@ -274,9 +275,10 @@ def _slopes(
 def undersampled_share(design: Design) -> float:
     """Share of the aperture where the target phase is too steep for the lattice of the pillars.
 
-    From pillar to pillar it turns by more than pi, so that a flatter phase, one turn a pillar less, has the same values
-    and takes the light: the slope lies beyond the first Brillouin zone of the lattice. The larger one of both
-    polarisations. The slope of an array is the mean of its steps from sample to sample over a few periods, since the
+    There it turns by more than pi from pillar to pillar, so that a flatter phase, with one turn per pillar less, has
+        the same values and takes the light: the slope lies beyond the first Brillouin zone of the lattice. The larger
+        share of both polarisations counts. The slope of an array is the mean of its steps from sample to sample over a
+        few periods, since the
     interpolation between them is uneven. Helices and holograms are left out. An unusable array raises InputError.
     """
     period_um = 1e-3 * np.array(design.unit_cell.cell.period_nm)

@@ -139,7 +139,8 @@ class Optics(Checked):
     amplitude_file: Path | None = None
     amplitude_pitch_um: Positive | None = None  #: Pitch of that file's square grid, which is centred on the axis.
     amplitude_dataset: str = "amplitude"  #: Name of the map in an .h5 file.
-    #: Whether the light of pillars depends on their neighbours; by default where the library's model of them pays.
+    #: Whether the light of a pillar depends on its neighbours; by default where the library's model of them lowers the
+    #: error.
     neighbours: Flag | None = None
 
     def _faults(self) -> Iterator[str]:
@@ -194,7 +195,8 @@ class Measured:
 
     #: Measured efficiency of x polarisation: power through the pinhole over power on the aperture.
     efficiency_x: Annotated[float | None, Field(strict=True, gt=0.0, le=1.0)] = None
-    efficiency_y: Annotated[float | None, Field(strict=True, gt=0.0, le=1.0)] = None  #: The same of y polarisation.
+    #: Measured efficiency of y polarisation.
+    efficiency_y: Annotated[float | None, Field(strict=True, gt=0.0, le=1.0)] = None
     extinction_ratio: Positive | None = None  #: Measured extinction ratio.
     pinhole_um: Positive = 100.0  #: Diameter of the pinhole.
     source: str = ""  #: Reference of the measured figures.
@@ -242,7 +244,7 @@ class Design(Checked):
     rules: Rules  #: Design rules of the process.
     mask: Mask  #: Mask files.
     sensor: Sensor  #: Image sensor.
-    verify: Verify  #: What is simulated of the written mask.
+    verify: Verify  #: Depths, window and field points of the simulation of the written mask.
     #: Scene to photograph and decode: a table, or the path of a scene file; without it the mask is verified on the axis
     #: alone.
     scene: Scene | None = None
@@ -294,7 +296,7 @@ class Design(Checked):
             yield f"`optics.stop_um` must be at most `device.aperture_um`, {self.device.aperture_um:g} um"
 
     def _faults_of_rings(self) -> Iterator[str]:
-        """Walls and holes that the mask cannot draw, or that break the rules at every outer diameter."""
+        """Faults of rings: a wall or hole that cannot be drawn, or that breaks the rules at every outer diameter."""
         cell, (wall_nm, hole_nm), unit_nm = self.unit_cell.cell, self.drawn_ring_nm, self.mask.database_unit_nm
         if cell.shape != "ring":
             return

@@ -81,7 +81,7 @@ def load_design(path: Path | str) -> Design:
 
 
 def files_of(path: Path, known: frozenset[Path] = frozenset()) -> frozenset[Path]:
-    """A TOML file, the files that its texts name, and theirs, as absolute paths that keep their symbolic links.
+    """A TOML file and all files that its texts name, directly or not, as absolute paths that keep their symbolic links.
 
     ``known`` files are not read again. ValueError or OSError if a file is no TOML or cannot be read.
     """
@@ -126,7 +126,7 @@ def _table(path: Path, expected: str) -> dict[str, Any]:
     table = read_toml(path)
     found = {kind: len(keys & table.keys()) for kind, (keys, _) in _KINDS.items()}
     likeliest = max(found, key=lambda kind: found[kind])
-    # A design may be handed over for its scene.
+    # A design may be given where a scene is asked for.
     if found[expected] or found[likeliest] < 2 or (expected == "a scene file" and "scene" in table):
         return table
     named = ", ".join(f"[{key}]" for key in table if key in _KINDS[likeliest][0])

@@ -59,7 +59,7 @@ class NewLens:
             "aperture_um": f"{self.aperture_um:.10g}" if self.aperture_um % 1.0 else f"{self.aperture_um:.1f}",
             "focal_length_mm": f"{1e-3 * focal_um:.6g}",
             "pixel_um": f"{pixel_um:.3g}",
-            # Sizes up to the period leave no gap between equals; the usual rule then limits them.
+            # Sizes up to the period leave no gap between equal pillars; the usual rule then limits them.
             "min_gap_nm": f"{gap_nm if gap_nm > 0.0 else 100.0:.1f}",
             "min_feature_nm": f"{feature_nm:.1f}",
         }

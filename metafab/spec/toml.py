@@ -53,7 +53,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         got, remedy = f"an unreadable file ({error})", "is it a text file in UTF-8?"
     except RecursionError:
         got, remedy = "tables or lists that are nested too deeply", "remove the inner ones"
-    except ValueError as error:  # TOML's own error is one, as is that of a number with thousands of digits
+    except ValueError as error:  # TOML's own error, or that of a number with thousands of digits
         got, remedy = f"invalid TOML: {error}", "correct the syntax at that place"
     raise InputError.single(str(path), "file", "a TOML file", got, remedy)
 
@@ -133,7 +133,7 @@ def _resolved(value: Any, folder: Path, key: str = "") -> Any:
     if isinstance(value, str) and "\0" in value:
         raise ValueError(f"a character \\u0000 in the value of `{key}`")
     if isinstance(value, str) and (key in _FILE_KEYS or value.lower().endswith(".csv")):
-        return os.path.realpath(folder / value)  # of a link that leads to itself, that link, which no reader opens
+        return os.path.realpath(folder / value)  # a link to itself stays; no reader opens it
     return value
 
 

@@ -5,8 +5,9 @@ its phase and power smoothly:
 
     t_corner = exp(p) [t(width + q, length + r) + i (u dt/d(width) + v dt/d(length))],
 
-with polynomials p (complex), q, r, u and v (real) of the sizes. A resonance that moves by more than its width asks for
-the shift within t: linear in q and r, the paper's cell with walls of 88 degrees was off by 0.2 to 0.3 of the field.
+with polynomials p (complex), q, r, u and v (real) of the sizes. A resonance that moves by more than its width needs the
+shift inside t: by an expansion linear in q and r, the paper's cell with walls of 88 degrees was off by 0.2 to 0.3 of
+the field.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from metafab.library.library import Library
 
 #: Degrees of the polynomials: of the shifts of the sizes; of the logarithm and of the widening.
 _SHIFT_DEGREE, _DEGREE = 2, 1
-#: Error of the field that a coefficient of 1 nm, or of 1 in the logarithm, weighs as much as: enough for those that the
-#: sample leaves open.
+#: Prior of the fit: a coefficient of 1 nm, or of 1 in the logarithm, costs as much as this error of the field. It keeps
+#: coefficients small that the sample leaves open.
 _SHIFT_WEIGHT, _LOG_WEIGHT = 0.002, 0.02
 #: Half of the step of the numerical derivatives of the library's surface (nm), and most evaluations of the fit.
 _HALF_STEP_NM, _EVALUATIONS = 0.5, 30

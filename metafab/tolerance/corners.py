@@ -274,7 +274,7 @@ class MaskSizes:
         if self.sample.size == self.index.size:
             return self.t * (after / before), SOLVER_ERROR
         groups = [(0, 1)] if swaps_polarisations(library) else [(0,), (1,)]
-        # By the ratio, what the solver misses in both, and a constant factor of an imported library, is no change.
+        # The ratio cancels the solver's common error and a constant factor of an imported library.
         changed = self.t[self.sample] * (after / before)
         return fitted_amplitudes(library, self.size_nm, self.sample, changed, groups)
 

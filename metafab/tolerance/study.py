@@ -86,7 +86,7 @@ class MaskOptics:
 
     window: Window  #: Sampling of the windows.
     depths_m: tuple[float, ...]  #: Object depths.
-    carriers: tuple[Carrier, Carrier, Carrier]  #: Of x, of y, and of y polarised light in the window of x.
+    carriers: tuple[Carrier, Carrier, Carrier]  #: Carriers of x, of y, and of y polarised light in the window of x.
     numerics: PsfNumerics = PsfNumerics()  #: Target error and spectral band.
     transmission: Transmission | None = None  #: Stop or amplitude in the plane of the pillars; None for none.
     lens: LensFocus | None = None  #: Focus that is measured; None for devices without one.

@@ -22,7 +22,7 @@ from metafab.core.conventions import POLARISATIONS, FloatArray, Polarisation
 _NODES = 5
 #: Digits after the point, nm, to which two elements must agree on a common vertex.
 _DIGITS = 6
-#: The same of shares of a period.
+#: Digits after the point to which shares of a period are rounded.
 _SHARE_DIGITS = 9
 
 #: Numbers of functions, -1 for those that are left out, and the factor from each to the function of an element.
@@ -33,7 +33,7 @@ _Numbers = tuple[IntArray, FloatArray]
 class Functions:
     """Functions of a quarter cell for one symmetry of the light."""
 
-    elements: tuple[Element, ...]  #: Their values on each element.
+    elements: tuple[Element, ...]  #: Values of the functions on each element.
     gradient: FloatArray  #: Shape (n_e, n_z), gradient of each function of E_z among those of E.
 
 

@@ -16,9 +16,9 @@ from metafab.core.errors import Fault
 _ON_AXIS, _ON_DIAGONAL = 0.55, 0.45
 #: Smallest gap between pillars, as a share of the period: below it elements degenerate.
 _SMALLEST_GAP = 0.02
-#: Flat side of a rounded rectangle that counts as none, as a share of its size.
+#: Flat side of a rounded rectangle below which it is left out, as a share of the size.
 _NO_SIDE = 1e-3
-#: Phase, rad, of light along an element of a rounded rectangle for which its order rises by one, and the most rises.
+#: Phase of light along an element per additional order, rad, and most additional orders (rounded rectangles).
 _PER_ORDER_RAD, _MOST_ORDERS = 1.6, 2
 
 
@@ -43,8 +43,8 @@ def is_treated(cell: PillarCell) -> bool:
 def untreated(cell: PillarCell) -> list[Fault]:
     """Faults of a cell that has no elements.
 
-    Upright ellipses, rings and rounded rectangles that leave a gap have, among dielectrics, under light along z, with
-    layers of the pillar's own outline or of none.
+    Elements exist for upright ellipses, rings and rounded rectangles of dielectrics, with a gap between pillars, under
+    light along z. Layers have the pillar's own outline or none.
     """
     purpose = "spectral elements"
     faults = cell.untreated(purpose, treated=("under, over", "is_staggered", "shape, corner_radius_nm"))
@@ -102,7 +102,7 @@ def _sizes(cell: PillarCell) -> tuple[Point, Point]:
 
 
 def _rounded(cell: PillarCell, half_nm: Point, size_nm: Point) -> QuarterMesh:
-    """A rectangle of half size ``size_nm`` with rounded corners, in up to eight elements, and what is around it.
+    """A rectangle of half size ``size_nm`` with rounded corners, in up to eight elements, and the gap around it.
 
     The gap has the order of the mesh, the pillar one less, as the field varies most beside the outline's walls. Each
     rises with the phase of light along the element.

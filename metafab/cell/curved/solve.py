@@ -1,8 +1,8 @@
 """Adaptive polynomial order: it rises until a bound on the error is below the target.
 
-The error is a sum of two. What elements do not resolve of the waves falls exponentially with the order p; what the
-singular field at the rims of the pillar's two ends adds falls as p^-4. Where one overtakes the other they may cancel in
-a change. With d(p) the largest change of any amplitude from p - 1 to p, the bound is
+The error has two parts. That of unresolved waves falls exponentially with the order p; that of the singular field at
+the rims of the pillar falls as p^-4. Where the two are about equal, they may cancel in a change. With d(p) the largest
+change of any amplitude from p - 1 to p, the bound is
 
     error(p) <= max(floor(p), share(p) d(p), before d(p - 1)),
 
@@ -39,16 +39,16 @@ _CLAIMS = {4: (4e-3, 2.0), 5: (5e-4, 2.0), 6: (2e-4, 2.0), 7: (1e-4, 2.0), 8: (6
 #: index of 3.3 the changes to orders 4, 5 and 6 were 0.029, 6e-4 and 7e-4, and order 5 was off by 1.3e-3. Where the
 #: last change was less than a twentieth of it, errors were at most 0.043 and 0.014 of it in 34 ellipses, 32 random.
 _LOW_INDEX, _BEFORE, _BEFORE_LOW = 3.0, 0.1, 0.03
-#: The same of rounded rectangles, whose elements differ in order. On 40 random ones, resonances among them, the error
-#: of order 4 was at most 0.26 of a change from order 3 above 1e-3; that of order 5 at most 0.3 of a change above 4e-4,
-#: but 0.73 of it in a pillar of index 4.1.
+#: Claims of rounded rectangles, whose elements differ in order. On 40 random ones, resonances among them, the error of
+#: order 4 was at most 0.26 of a change from order 3 above 1e-3; that of order 5 at most 0.3 of a change above 4e-4, but
+#: 0.73 of it in a pillar of index 4.1.
 _CLAIMS_ROUNDED = {**_CLAIMS, 4: (8e-4, 0.7), 5: (5e-4, 2.0)}
 #: Polynomial order of rounded rectangles of low index -> factor from the next change of a geometric series to the
 #: bound. It was measured on 18 random ones; that pillar of index 4.1 is off by 37 times that change.
 _SHRINKING = {5: 8.0}
-#: The same of rings. On 30 random ones the errors of orders 4, 5 and 6 against order 8 were at most 0.53, 1.1 and 2.1
-#: of the last change; on 100 others that of order 4 was 1.34 of it beside a resonance, and 3.7 at a change of 0.16; on
-#: 50 more that of order 4 was 2.5 of it in a ring of index 5.
+#: Claims of rings. On 30 random ones the errors of orders 4, 5 and 6 against order 8 were at most 0.53, 1.1 and 2.1 of
+#: the last change; on 100 others that of order 4 was 1.34 of it beside a resonance, and 3.7 at a change of 0.16; on 50
+#: more that of order 4 was 2.5 of it in a ring of index 5.
 _CLAIMS_RING = {**_CLAIMS, 4: (6e-4, 4.0), 5: (4e-4, 2.0), 6: (4e-4, 2.5), 7: (2e-4, 2.5)}
 #: Claims of cross-sections other than ellipses.
 _CLAIMS_OF = {"rectangle": _CLAIMS_ROUNDED, "ring": _CLAIMS_RING}

@@ -114,7 +114,7 @@ class Element:
     e_z: FloatArray  #: Shape (k_z, q).
     weight: FloatArray  #: Shape (q,), nm^2.
     at: FloatArray  #: Shape (2, q), x and y, nm.
-    is_pillar: bool  #: Whether it is one.
+    is_pillar: bool  #: Whether the element lies in a pillar.
 
 
 def element(basis: Basis, b: int, a: int) -> Element:

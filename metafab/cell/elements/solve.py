@@ -32,8 +32,8 @@ from metafab.core.errors import InputError, SolverError
 #: Bound on the error of a light's amplitudes: a share of their last change, and at least this floor over the
 #: square of the resolution (two resolutions may agree by accident). Measured on rows and single cells.
 _SHARE, _FLOOR = 0.5, 0.075
-#: The share of circles and ellipses from a resolution on, that is an order of 5; and below. On 20 random rows the
-#: error of order 4 was up to 2.4 of the change from order 3, that of order 5 up to 0.53 of a change above 1e-3.
+#: Shares for circles and ellipses: from this resolution on (an order of 5), and below it. On 20 random rows the error
+#: of order 4 was up to 2.4 of the change from order 3, that of order 5 up to 0.53 of a change above 1e-3.
 _CURVED_FROM, _SHARE_CURVED, _SHARE_COARSE = 4.0, 2.0, 5.0
 #: Most functions of a layer: ten complex matrices of twice this size fill 4 GB.
 _MOST_FUNCTIONS = 5000
@@ -54,7 +54,7 @@ class ElementNumerics:
 def supercell_orders(supercell: Supercell, numerics: ElementNumerics = ElementNumerics()) -> SupercellOrders:
     """Transmitted orders of a row along x or along y, or of a block, for both incident polarisations.
 
-    A target that the finest resolution misses is told by the error. InputError for pillars that touch, or a block of
+    If the finest resolution misses the target, ``error`` exceeds it. InputError for pillars that touch, or a block of
     too many functions; SolverError if the amplitudes are not finite.
     """
     start = time.perf_counter()

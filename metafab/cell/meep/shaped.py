@@ -18,8 +18,8 @@ from metafab.cell.rcwa.symmetry import layers_of
 from metafab.core.conventions import FloatArray, Polarisation
 from metafab.core.errors import InputError
 
-#: Vertices of the polygon in place of an ellipse, or of the four quarters of circle of rounded corners. Its area is
-#: that of the curve, from which it is 3e-4 of the radius away.
+#: Vertices of the polygon that replaces an ellipse or four rounded corners. It has the area of the curve, and is at
+#: most 3e-4 of the radius away from it.
 _VERTICES = 96
 #: Fewest and most pixels of the x period of the coarsest grid.
 _FEWEST, _MOST = 12, 40

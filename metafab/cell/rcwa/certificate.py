@@ -163,7 +163,7 @@ _SKIPPED_RUNG = 7
 #: random cells the least bound over the error at 5 cosines was 1.2 from 3 and 5, and 1.9 from 3, 4 and 5; 3, 5 and 6
 #: of a cross under light at an angle agreed within 2.8e-4, while 6 were off by 7.6e-4 and differed from 4 by 1.1e-3.
 _ACCIDENTS = ((3, 5), (4, 6))
-#: Target whose ladder a power law uses at least: distant rungs determine the error best.
+#: A power law uses at least the ladder of this target: distant rungs determine the error best.
 _FAR_TARGET = 4e-3
 
 

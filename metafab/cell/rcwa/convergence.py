@@ -1,7 +1,7 @@
 """How the errors of a cell fall with the number of cosines: by its indices, sizes and height alone.
 
-- A truncation that does not resolve the waves in the pillar, or those guided in a film or a cap, says nothing.
-- Errors of one that barely does need not fall yet.
+- A truncation that does not resolve the waves in the pillar, or those guided in a film or a cap, proves nothing.
+- Where a truncation barely resolves them, errors need not fall yet.
 - A truncation shifts the effective indices of the modes, and the shift turns t by k0 times the height: errors grow with
   the phase that the pillar adds to light.
 - The field at the corners of several rectangles, of adjacent rows and of metals lets errors fall as a power only.

@@ -163,7 +163,7 @@ def _keep_answer(
         lines = headlines(again, folder)
         Rerun(*texts, kept, files, again.table(), lines, tuple(announcements), again.violations).keep(folder)
     except (OSError, ValueError):
-        return  # A file is gone, or the folder is read-only: the next run looks for itself.
+        return  # A file is gone, or the folder is read-only: the next run checks every step.
 
 
 def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:

@@ -27,7 +27,7 @@ def propose_command(
     depths_m: Annotated[tuple[float, float], typer.Option("--range-m", metavar="NEAR FAR", help="Range of depths.")],
     aperture_um: Annotated[float, typer.Option(metavar="D", help="Diameter of the lens.")],
     wavelength_nm: Annotated[float, typer.Option(help="Vacuum wavelength.")] = 800.0,
-    electrons: Annotated[float, typer.Option(help="Mean signal of a pixel of lambda s'/(4 R).")] = 3000.0,
+    electrons: Annotated[float, typer.Option(help="Mean signal of a Nyquist pixel, lambda s'/(4 R).")] = 3000.0,
     read_noise_e: Annotated[float, typer.Option(min=0.0, help="Standard deviation of the read noise.")] = 2.0,
     background_e: Annotated[float, typer.Option(min=0.0, help="Mean background of a pixel.")] = 0.0,
     contrast: Annotated[float, typer.Option(help="Contrast of the texture, rms over mean.")] = 0.25,

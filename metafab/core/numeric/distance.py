@@ -60,7 +60,7 @@ def _lower_envelopes(rows: NDArray[np.int32]) -> Nearest:
     distances = np.empty((n_y, n_x), dtype=np.float32)
     row, column = np.empty((2, n_y, n_x), dtype=np.int32)
     for i in range(n_y):
-        # Columns whose parabolas (x - j)^2 + d_j^2 are the lowest somewhere, and where each begins to be.
+        # Columns whose parabolas (x - j)^2 + d_j^2 are the lowest somewhere, and the first x at which each is.
         lowest, start = np.empty(n_x, dtype=np.int32), np.empty(n_x + 1, dtype=np.float64)
         height = np.empty(n_x, dtype=np.float64)
         last = -1

@@ -75,7 +75,7 @@ Write = Callable[[Any, Any, Any, Any], None]
 
 
 def _operation(function: Callable[..., tuple[Any, Write]]) -> Callable[..., None]:
-    """Let kernels call ``function``, which returns its signature and what writes its instructions."""
+    """Let kernels call ``function``, which returns its signature and the function that writes its instructions."""
     return cast("Callable[..., None]", numba.extending.intrinsic(function))
 
 

@@ -23,8 +23,8 @@ from metafab.core.parallel.progress import Progress, silent
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-#: Time (s) and bytes that a call is made to take by the number of its items. Dask spends 15 ms of processor time on a
-#: call, on client, scheduler and worker: as much as a tile of a mask takes.
+#: Wanted time (s) and size (bytes) of one call, which set the number of its items. Dask spends 15 ms of processor time
+#: on a call, on client, scheduler and worker: as much as a tile of a mask takes.
 _CALL_S, _CALL_BYTES = 0.2, 8e6
 #: Sizes from which memory is given back, by option of glibc's ``mallopt``: free memory, and a block of its own.
 _MALLOC_BYTES = {-1: 1 << 26, -3: 1 << 25}
@@ -32,7 +32,7 @@ _MALLOC_BYTES = {-1: 1 << 26, -3: 1 << 25}
 PATIENCE_S = 30.0
 #: Time between two looks at the number of workers (s).
 _LOOK_EVERY_S = 2.0
-#: Longest time for taking leave of a scheduler that does not answer (s).
+#: Longest wait for a scheduler to confirm that the connection closes (s).
 _CLOSE_S = 3.0
 
 #: Loggers that report a lost connection with a traceback, Dask's client first.
@@ -160,7 +160,7 @@ def open_cluster(address: str, progress: Progress = silent) -> Iterator[ClusterE
         # Dask cancels all futures as soon as the connection to the scheduler closes, and then refuses calls.
         if client.status == "running":
             raise
-        their_logs[0].setLevel(logging.CRITICAL)  # Dask's client says as an error that it cannot connect again.
+        their_logs[0].setLevel(logging.CRITICAL)  # Dask's client logs as an error that it cannot connect again.
         raise ClusterLostError(address) from error
     finally:
         ended.set()
@@ -172,7 +172,7 @@ def open_cluster(address: str, progress: Progress = silent) -> Iterator[ClusterE
 
 
 def _is_no_lost_connection(record: logging.LogRecord) -> bool:
-    """Whether a message of Dask is about something else than the connection, whose loss the command tells itself."""
+    """Whether a log record of Dask is about anything but a lost connection, which the command reports itself."""
     error = record.exc_info[1] if record.exc_info else None
     return not isinstance(error, OSError)
 
@@ -184,7 +184,7 @@ def _watch_workers(client: Any, address: str, progress: Progress, ended: threadi
     while not ended.wait(_LOOK_EVERY_S):
         try:
             has_workers = bool(client.nthreads())
-        except Exception:  # Of a scheduler that goes away, whatever Dask raises: the caller gets its own error.
+        except Exception:  # Dask raises many types for a lost scheduler; the caller raises ClusterLostError.
             return
         if has_workers:
             if warned:

@@ -49,7 +49,7 @@ def peak_rss_mb() -> float:
 
 
 def resident_mb() -> float:
-    """Resident set of this process, in megabytes; its peak where the system does not tell (other than Linux)."""
+    """Resident set of this process, in megabytes; its peak on systems other than Linux."""
     now = _status_mb("VmRSS")
     return peak_rss_mb() if now is None else now
 

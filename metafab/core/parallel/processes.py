@@ -34,7 +34,7 @@ _LONGEST_NAME = 160
 
 
 class _Piece(Future[Any]):
-    """The result of a call (the function with its arguments), whatever pool it comes from."""
+    """Future of a call (the function with its arguments), in whichever pool it runs."""
 
     def __init__(self, call: partial[Any]) -> None:
         super().__init__()
@@ -91,7 +91,7 @@ class WorkerProcesses(Executor):
             return
 
     def _start_alone(self) -> None:
-        """Start the first lonely piece, unless one is running; the lock is held."""
+        """Start the first of the pieces that run alone, unless one is running; the lock is held."""
         piece = self._alone[0]
         if self._lone_pool is None:
             self._lone_pool = self._new_pool(1)

@@ -1,4 +1,4 @@
-"""How long work is spread over processors, and to whom its progress is reported."""
+"""Workers, cluster and progress callback of a long computation."""
 
 from __future__ import annotations
 

@@ -183,7 +183,7 @@ def open_file(path: Path) -> h5py.File:
 def _has_endless_heap(path: Path, size_bytes: int) -> bool:
     """Whether a global heap holds free space of size 0, on which the HDF5 library (1.14) steps in place forever.
 
-    So does, by this function, a file whose heaps overlap so that they hold more than ``_MOST_HEAP_OBJECTS`` together.
+    Also true where overlapping heaps hold more than ``_MOST_HEAP_OBJECTS`` together.
     """
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as image:
 
@@ -211,11 +211,11 @@ def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None
 
     A small file can claim large arrays that were never written or that deflate to almost nothing. A file of up to 10 MB
     may hold 768 MiB of arrays, a larger file 64 more bytes for each of its own, unless the limit ``memory_mb`` is
-    stated. The array that takes the most is counted with what its reader holds besides: a copy as floats, and the
-    buffers from which a chunk is inflated.
+    stated. The largest array counts together with its reader's copy as floats and the buffers from which a chunk is
+    inflated.
 
-    InputError for a link or dataset whose content lies outside the file or is computed, an array that is no array of
-    numbers or bytes, more bytes than the budget, or hostile chunks.
+    InputError for a link or dataset whose content lies outside the file or is computed, a type other than numbers and
+    bytes, more bytes than the budget, or hostile chunks.
     """
     file_bytes = path.stat().st_size
     most = limit("memory_mb", (_BUDGET_BYTES + _EXPANSION * max(0, file_bytes - _SMALL_FILE_BYTES)) / 1e6)
@@ -270,7 +270,7 @@ _BUDGET_BYTES = 768 << 20
 _SMALL_FILE_BYTES = 10 * 10**6
 _EXPANSION = 64
 _BYTES_OF_A_FLOAT = 8
-#: Buffers of a compressed chunk: one that doubles until it holds the chunk.
+#: Memory for inflating a chunk over its size: a buffer doubles until it holds the chunk.
 _BUFFERS_OF_A_CHUNK = 2
 #: Chunks of one array, besides one for each KiB of the file; each costs a search of a microsecond.
 _MOST_CHUNKS = 1 << 17
@@ -278,9 +278,9 @@ _MOST_CHUNKS = 1 << 17
 _MOST_OBJECTS = 4096
 #: Texts of all heaps of a file; each costs half a microsecond.
 _MOST_HEAP_OBJECTS = 1 << 20
-#: What h5py, NumPy and JSON raise on content that is not what its place promises.
+#: Exceptions of h5py, NumPy and JSON on malformed content.
 _UNREADABLE = (LookupError, OSError, ValueError, TypeError, AttributeError, RuntimeError, MemoryError)
-#: Begin of a global heap of version 1, the only one, in which HDF5 keeps texts of attributes.
+#: First bytes of a global heap of version 1, the only one, in which HDF5 keeps texts of attributes.
 _HEAP = b"GCOL\x01\x00\x00\x00"
 _SEAL = b"\nmetafab crc32 "
 #: Bytes of the checksum at the end of a file.

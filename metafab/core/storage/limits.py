@@ -31,7 +31,7 @@ def limit(name: LimitName, default: float) -> float:
 
 @contextmanager
 def limited(**stated: float | None) -> Iterator[None]:
-    """State limits for all files that are read in the block; what is stated around the block already has precedence.
+    """State limits for all files that are read in the block; limits of an outer block have precedence.
 
     A thread that is started in the block begins without them, unless it runs in a copy of the context
     (``contextvars.copy_context().run``).
@@ -63,7 +63,7 @@ def require_modest_table(path: Path) -> None:
         raise beyond(str(path), "file", "memory_mb", expected, got, "give fewer rows")
 
 
-#: Memory of a table's lists, MB, and bytes of the lists that each sign between lines or cells adds.
+#: Default memory of a table's lists (MB), and bytes that each separator of lines or cells adds to them.
 _TABLE_MB = 512.0
 _BYTES_OF_A_SIGN = {b"\n": 512, b"\r": 512, b"\v": 512, b"\f": 512, b",": 64, b";": 64, b"\t": 64, b" ": 64}
 
@@ -71,7 +71,7 @@ _BYTES_OF_A_SIGN = {b"\n": 512, b"\r": 512, b"\v": 512, b"\f": 512, b",": 64, b"
 def beyond(
     source: str, field: str, name: LimitName, most: str, got: str, remedy: str = "", *, by_design: bool = True
 ) -> InputError:
-    """The error of a file that goes beyond a limit.
+    """Return the error of a file that exceeds a limit.
 
     Args:
         source: the file.

@@ -29,11 +29,11 @@ _MOST_SAMPLES, _BYTES_OF_A_SAMPLE = 1 << 26, 8
 _SMALL_FILE_BYTES, _MOST_SAMPLES_OF_A_SMALL_FILE = 10**7, 3 << 22
 #: Longest side of a picture (pixels); no image sensor has more.
 _LONGEST_SIDE_PX = 1 << 16
-#: Most pages of a TIFF; of unlike shapes they take a time that grows with their square, more than 20 s for 32 767.
+#: Most pages of a TIFF; the time for pages of unlike shapes grows with their square, to more than 20 s for 32 767.
 _MOST_PAGES = 1 << 13
-#: Arrays of an .npz file, and how NumPy compresses them; the other ways of zip files inflate ten times more slowly.
+#: Arrays of an .npz file, and how NumPy compresses them; other methods of zip files inflate ten times more slowly.
 _MOST_ARRAYS, _OF_NUMPY = 1 << 10, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-#: Makes what inflates a strip or tile, by the compressions of TIFF that tifffile inflates by itself at any ratio.
+#: Makers of decompressors, by TIFF compression: tifffile inflates strips and tiles of these at any ratio.
 _OPENERS: dict[int, Callable[[], Any]] = {
     8: zlib.decompressobj,
     32946: zlib.decompressobj,
@@ -41,9 +41,9 @@ _OPENERS: dict[int, Callable[[], Any]] = {
 }
 #: Compression of TIFF that tifffile expands in Python, to a list of eight bytes for each byte and in 0.2 us a run.
 _PACKBITS, _MOST_UNPACKED_BYTES, _MOST_RUNS = 32773, 1 << 25, 1 << 23
-#: Bytes of a strip besides twice its pixels, and of a strip's head and end on average.
+#: Bytes that a strip may inflate to beyond twice its pixels, and fixed cost of a strip in bytes.
 _SPARE_BYTES, _BYTES_OF_A_STRIP = 1 << 16, 512
-#: Strips and tiles of all pages, besides one for each 256 bytes of the file; each costs 20 us.
+#: Most strips and tiles of all pages, on top of one for each 256 bytes of the file; each costs 20 us.
 _MOST_STRIPS = 1 << 16
 _REMEDY = "save it as a grey TIFF, PNG or .npy of shape (rows, columns)"
 

@@ -38,7 +38,7 @@ Marks: TypeAlias = dict[str, list[int]]
 
 @dataclass(frozen=True)
 class Rerun:
-    """What ``metafab run`` prints once more, and the state of the files on which it rests."""
+    """Printed answer of ``metafab run``, and the state of the files on which it rests."""
 
     name: str  #: Name of the design.
     design: str  #: Absolute path of the design file.

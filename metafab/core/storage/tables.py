@@ -14,7 +14,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 Figures = TypeVar("Figures")
 
-#: What reading a damaged table raises: JSON that is none or nested too deeply, keys that are missing, other types.
+#: Exceptions of reading a damaged table: no JSON or nested too deeply, missing keys, other types.
 DAMAGED = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError, RecursionError)
 
 

@@ -34,7 +34,7 @@ BACKSCATTER_NM = 2000.0
 _LOG_STEP = 0.7
 #: Largest range of a Gaussian in a power law (nm): the range of 100 keV electrons in silicon, which ends the law.
 _LARGEST_RANGE_NM = 5e4
-#: Negative energy over all energy, of rings for a factor of e in radius, that terms may have: three times that of the
+#: Largest share of negative energy in all rings of a factor e in radius that terms may have: three times that of the
 #: presets' fits beyond the range of the electrons.
 _LEAST_NEGATIVE = 0.01
 #: Ratio of neighbouring ranges in the fit of a table, and the share of all energy below which a ring counts less.
@@ -42,8 +42,9 @@ _FIT_RATIO, _FIT_FLOOR = 1.35, 1e-4
 #: Empty rings beyond the table, and least ratio of their radii: they reach to three times its last radius, which
 #: no fitted range exceeds by more than :data:`_FIT_RATIO`.
 _EMPTY_RINGS, _EMPTY_RATIO = 4, 4.0 / 3.0
-#: Weights of the energy within each radius, of the sum of all weights, and of their smallness, beside that of a ring's
-#: relative error. Large weights of both signs magnify the errors of the energy, the more the shorter their ranges are.
+#: Weights in the fit, relative to that of a ring's relative error: of the energy within each radius, of the sum of all
+#: weights, and of a penalty on large weights. Large weights of both signs magnify the errors of the energy, the more
+#: the shorter their ranges are.
 _FIT_WITHIN, _FIT_SUM, _FIT_SMALL = 30.0, 1e3, 0.3
 #: Least share of all energy of the rings whose relative errors are stated; of a finer table those with at least half
 #: of its largest ring's.

@@ -37,7 +37,7 @@ class Preset:
 
     stack: tuple[Layer, ...]  #: Layers from the resist down.
     beam_kev: float  #: Energy of the electrons.
-    description: str  #: The stack in words, with what is assumed.
+    description: str  #: The stack in words, with its assumptions.
     resist: int = 0  #: Number of the resist's layer, from 0.
 
 

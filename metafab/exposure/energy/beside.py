@@ -60,11 +60,12 @@ class Beside:
     rectangle_dose: float = 1.0  #: Dose of the rectangles relative to the base dose.
 
     def per_dose(self, lens_dose: float) -> Beside:
-        """The same for energies per unit dose of the lens in question."""
+        """These figures for energies per unit dose of the lens in question."""
         return replace(self, lens_dose=lens_dose, rectangle_dose=1.0 / lens_dose)
 
     def with_doses(self, doses: Mapping[int, Float32Array], lens_dose: float) -> Beside:
-        """The same beside a lens whose doses hold its own one; others, by number, at doses of shape (n_y, n_x)."""
+        """These figures beside a lens whose doses hold its own one; other lenses, by number, at doses of shape (n_y,
+        n_x)."""
         lenses = tuple(replace(lens, doses=doses.get(lens.number, lens.doses)) for lens in self.lenses)
         return replace(self, lenses=lenses, lens_dose=lens_dose)
 

@@ -33,7 +33,7 @@ _MIDDLE_PERIODS = 0.3
 #: (rows, columns) of sites whose energy is summed in closed form: all nearer than two distances of neighbours. Columns
 #: of a hexagonal lattice are half of that distance apart.
 _NEAR, _NEAR_HEXAGONAL = (1, 1), (2, 3)
-#: Energy of a large pad that each Gaussian of a direct sum leaves out at most, beyond its reach.
+#: Largest energy of a large pad that each Gaussian of a direct sum leaves out beyond its reach.
 _LEFT_OUT = 1e-9
 
 

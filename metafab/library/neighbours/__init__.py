@@ -1,4 +1,4 @@
-"""What unlike neighbours do to the field of each pillar: chains of coupled modes, trained on solved rows of pillars.
+"""Effect of unlike neighbours on the field of each pillar: chains of coupled modes, trained on solved rows of pillars.
 
 - ``line``        a chain of coupled modes and its parameters
 - ``solve``       field of closed chains, and its derivatives by the parameters

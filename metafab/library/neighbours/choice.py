@@ -26,10 +26,10 @@ from metafab.library.neighbours.model import Neighbours
 from metafab.library.neighbours.open_lines import IndexArray
 from metafab.library.neighbours.windows import NeighbourTables
 
-#: Rounds, and price in F of a step of width or length. More rounds promise more light than comes true by full wave.
+#: Rounds, and price in F of a step of width or length. More rounds predict more light than full-wave solvers confirm.
 ROUNDS, _PRICE = 4, 5e-3
-#: Price in F of half of the squared sum of phase errors, and the share of the sum that the next pillar inherits. With
-#: three times this price a third of the light is not won. With a share of 0.95 the sum spans 20 pillars, more than a
+#: Price in F of half of the squared sum of phase errors, and the share of the sum that the next pillar inherits. Three
+#: times this price gives up a third of the gained light. With a share of 0.95 the sum spans 20 pillars, more than a
 #: period of the paper's lens, and the phases of periods scatter by 0.030 rad in place of 0.018.
 _PHASE_PRICE, _KEPT = 1.0, 0.9
 #: Standard deviation, in sites along the row, of the Gaussian mean that gives the local phase of the field.

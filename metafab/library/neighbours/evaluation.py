@@ -1,7 +1,7 @@
 """Field of pillars among their neighbours by the library's chains of coupled modes: rows, and blocks of sites.
 
 In a block every row along x and every row along y is a closed chain. The field of a site is the library's plus the
-correction by its row and the correction by its column; what rows and columns do together, and cross-polarised light,
+correction by its row and the correction by its column; the joint effect of rows and columns, and cross-polarised light,
 are left out and enter the stated error.
 """
 

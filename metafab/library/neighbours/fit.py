@@ -113,7 +113,7 @@ def fit(
 
 
 def loss(model: LineModel, sets: Sequence[RowSet], limits: FitLimits) -> float:
-    """The quantity that :func:`fit` makes small: weighted squared residuals, relative to the light, plus the prior."""
+    """Loss that :func:`fit` minimises: weighted squared residuals, relative to the light, plus the prior."""
     targets = [_Target.of(rows, model, limits.reflected) for rows in sets]
     return _loss(model, targets, limits.ridge * _prior(model.shape))
 

@@ -50,7 +50,7 @@ class LineShape:
         return self.even + self.odd
 
     def with_more(self, count: int) -> LineShape:
-        """The shape with ``count`` modes more of each parity; with a negative one less, one even mode at least."""
+        """The shape with ``count`` more modes of each parity, fewer if negative; at least one even mode."""
         return replace(self, even=max(1, self.even + count), odd=max(0, self.odd + count))
 
     @property

@@ -122,12 +122,12 @@ class _Chain(NamedTuple):
 
 
 class _Space(NamedTuple):
-    """Lane arrays of one group of lines. What :func:`subtract_products` adds to holds the opposite number."""
+    """Lane arrays of one group of lines. Arrays that :func:`subtract_products` adds to hold negated values."""
 
     sides: int  #: Right sides: 1, or 2 with the adjoint one.
     inverse: FloatArray  #: -D_m^-1, upper triangle, modes x modes a site.
     source: FloatArray  #: Right sides, modes a site, one after the other.
-    amplitude: FloatArray  #: D_m^-1 of them, or a_m and b_m, of one site.
+    amplitude: FloatArray  #: D_m^-1 times the right sides, or a_m and b_m, of one site.
     here: FloatArray  #: Sums of all rows at one site.
     weight: FloatArray  #: -w_m at element m + 1.
     light: FloatArray  #: -y_m at element m + 1.

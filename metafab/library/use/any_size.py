@@ -24,7 +24,7 @@ from metafab.library.library import Library
 from metafab.library.surface import SizeResponse
 
 #: Cosines of solved sizes, polynomial order of those with curved outlines, and the error of upright rectangles,
-#: which is the least that is stated for any.
+#: the least that is ever stated.
 _ORDERS, _ELEMENT_ORDER, SOLVER_ERROR = 5, 5, 1e-3
 #: Cosines and least number of slices against which other cells are judged, how many of them, and the factor from their
 #: change to an error. A circle of 200 nm with walls of 87 degrees changes by 0.10.

@@ -48,15 +48,15 @@ class LibraryCheck:
     max_stated_error: float  #: Largest error bound of the library at these sizes.
     max_solver_error: float  #: Largest error bound of the reference solver.
     beyond_stated: int  #: Samples whose error exceeds the sum of both bounds.
-    #: Samples whose reference comes from the library's own solver with no smaller error bound than the library's: their
-    #: difference says nothing.
+    #: Samples whose reference comes from the library's own solver with no smaller error bound than the library's: the
+    #: difference proves nothing.
     not_checked: int
     worst_width_nm: float  #: Width of the size with the largest error.
     worst_length_nm: float  #: Length of the size with the largest error.
     solver_seconds: float  #: Time in the solver.
     #: Samples at which both bounds together are 0.5 or more, which excludes hardly any amplitude.
     vacuous: int
-    #: "fails" if a sample is beyond the bounds, "no check" if no sample was checked by bounds that mean something, else
+    #: "fails" if a sample is beyond the bounds, "no check" if no sample was checked with bounds below 0.5, else
     #: "holds".
     verdict: Literal["holds", "fails", "no check"]
     sizes: tuple[CheckedSize, ...]  #: Each sample, in the order of the draw.

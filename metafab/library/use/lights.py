@@ -35,8 +35,8 @@ class SizesOfLights:
     """Choice of the size whose fields overlap best with the targets of K lights."""
 
     tables: tuple[SizeTable, ...]  #: Sizes with the transmission of each light; the same sizes in all.
-    #: Shape (n_sizes, 4 K), real and imaginary parts of t of each light and polarisation, times the light's weight and
-    #: less where the library does not know t to its target error.
+    #: Shape (n_sizes, 4 K), real and imaginary parts of t of each light and polarisation, times the light's weight;
+    #: smaller where t is not known to the target error.
     field: FloatArray
 
     @classmethod

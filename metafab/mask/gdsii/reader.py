@@ -34,7 +34,7 @@ _SHAPES = {
 }
 #: Estimated processor time, s: of the index of a run of elements, of its shapes, and of an empty cell.
 _SECONDS_OF_A_RUN, _SECONDS_OF_SHAPES, _SECONDS_OF_A_CELL = 3e-5, 5e-5, 2e-5
-#: The same of a coordinate of a polygon, and of a distinct polygon.
+#: Estimated processor time, s, of a coordinate of a polygon, and of a distinct polygon.
 _SECONDS_OF_A_COORDINATE, _SECONDS_OF_A_RING = 2e-8, 5e-6
 #: Placements of an array that are expanded at a time.
 _PLACEMENTS = 1 << 16

@@ -1,4 +1,4 @@
-"""Studies of target phases at the level of the paraxial pupil, before anything is made of them.
+"""Studies of target phases at the level of the paraxial pupil, before any pillar is chosen.
 
 - ``compare``      Cramer-Rao bounds of depth for several masks at equal aperture and light
 - ``bandwidth``    loss of depth information behind a colour filter, and remedies

@@ -69,7 +69,7 @@ def _put_lobe(group: h5py.Group, lobe: LobeOverDepth) -> None:
     axis = ("vergence_per_m",)
     rows: list[_Row] = [
         ("vergence_per_m", lobe.vergence_per_m, "1/m", "vergence of the object from the focus", axis),
-        ("range_per_m", lobe.range_per_m, "1/m", "of the verified depths", ()),
+        ("range_per_m", lobe.range_per_m, "1/m", "vergence of the farthest and the nearest depth", ()),
         ("law_deg", lobe.law_deg, "degree", "orientation by the law", axis),
     ]
     for name, part in (("design", lobe.design), ("plain", lobe.plain)):
@@ -121,7 +121,7 @@ def _put_bandwidth(group: h5py.Group, budget: BandwidthBudget) -> None:
             ("relative_error", curves.relative_error, "1", error, axes),
             ("azimuth_deg", budget.azimuth_deg, "degree", "direction of the split against the mask", azimuth),
             ("kept_by_azimuth", budget.kept_by_azimuth, "1", "information kept at that direction", azimuth),
-            ("remedy", changes, "1", "what helps", ("remedy",)),
+            ("remedy", changes, "1", "change of the design", ("remedy",)),
             ("remedy_kept", remedy_kept, "1", "information kept with it", ("remedy",)),
             ("remedy_error", remedy_error, "1", "deviation of depth with it over without", ("remedy",)),
         ],

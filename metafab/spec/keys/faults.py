@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from metafab.core.errors import Fault
 from metafab.spec.keys.reference import names_at, near
 
-#: Faults that are told one by one; each costs up to a millisecond, and kilobytes with its input.
+#: Largest number of faults that are reported one by one; each costs up to a millisecond, and kilobytes with its input.
 _MOST_FAULTS = 500
 _UNKNOWN = {"extra_forbidden", "unexpected_keyword_argument"}
 #: Parts of names that users give the phase of turned pillars; no term makes it.

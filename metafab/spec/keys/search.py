@@ -1,4 +1,4 @@
-"""All keys by kind of file, and those that a part of a name finds; apart from ``reference``, which knows no file."""
+"""All keys by kind of file, and search by a part of a name."""
 
 from __future__ import annotations
 

@@ -21,8 +21,8 @@ MOST_CLASSES = 32
 class Dose(Checked):
     """Dose classes on consecutive datatypes. By size or density, classes divide the range of the values evenly."""
 
-    #: What decides a pillar's class: its drawn area, the pattern density around it, or the dose corrected for proximity
-    #: (`metafab expose --correct`).
+    #: Quantity that decides a pillar's class: its drawn area, the pattern density around it, or the dose corrected for
+    #: proximity (`metafab expose --correct`).
     by: Literal["size", "density", "proximity"] = "size"
     #: Number of classes; class 0, on `mask.datatype`, holds the smallest areas, densities or doses.
     classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 4
