@@ -31,7 +31,7 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
     (:mod:`metafab.camera.rendering.occlusion`), in the shape of its whole PSF. A partly hidden aperture has another
     PSF. The mean light at outlines is corrected by the law that radiance does not change along a ray; the rest is the
     camera's error there (``tests/physics/camera/test_occlusion.py``). Surfaces of equal depth touch without a seam. A
-    pair without ``aperture_um`` hides as a pinhole sees.
+    pair without ``aperture_um`` is treated as a pinhole.
 
     Behind a birefringent substrate (``psf.ghost``), each image also holds light of the other polarisation: of a scene
     whose x and y polarised light are uncorrelated.

@@ -153,10 +153,10 @@ def starting_cell(
     reach_rad, efficiency = covered_rad(np.angle(fields[np.abs(fields) ** 2 >= 0.5])), _efficiency(fields)
     indices = f"indices: {pillar_name} ({n:.4g}) and {ground_name} ({n_substrate:.4g})"
     text = f"""# Pillars of {pillar_name} on {ground_name} at {wavelength_nm:g} nm, by the rules of thumb and the
-# search of `metafab new`; change what your process says. Periods below {wavelength_nm / n_substrate:.0f} nm keep all
-# light in the zero order of the substrate. Solved at a low order, the sizes that transmit half of the light or
-# more reach {reach_rad:.2f} rad of phase (a turn is 6.28). A slow grating of these pillars sends
-# {100.0 * efficiency:.0f} % of the light into its order.
+# search of `metafab new`; change them to suit your process. Periods below {wavelength_nm / n_substrate:.0f} nm keep all
+# light in the zero order of the substrate. Solved at a low order, the sizes that transmit half of the light or more
+# reach {reach_rad:.2f} rad of phase (a turn is 6.28). A slow grating of these pillars sends {100.0 * efficiency:.0f} %
+# of the light into its order.
 source = {json.dumps(indices, ensure_ascii=False)}
 
 [cell]

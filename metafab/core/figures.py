@@ -28,7 +28,7 @@ class PhaseFigures:
     target_bound: float | None = optional()  #: Upper bound of ``target_reached`` for any mask.
     bound_fraction: float | None = optional()  #: ``target_reached`` over ``target_bound``.
     side_lobe: float | None = optional()  #: Limited side lobe over the main lobe.
-    side_lobe_without_limit: float | None = optional()  #: The same ratio without a limit.
+    side_lobe_without_limit: float | None = optional()  #: Side lobe over the main lobe without a limit.
     blind_information_gain: float | None = optional()  #: Gain of the depth information for unknown texture.
     #: Turn of the main lobe of PSF_x from the nearest to the farthest depth of ``[verify]``, degrees,
     #: counter-clockwise, by the paraxial pupil.

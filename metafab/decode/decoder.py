@@ -43,7 +43,7 @@ MARGIN_PX = 36
 
 @dataclass(frozen=True)
 class DecoderNumerics:
-    """How a decoder computes."""
+    """Numerics of a decoder."""
 
     #: Relative L2 error of the low-rank basis of the matched filters; a larger one is faster.
     basis_error: float = 0.02
@@ -116,7 +116,7 @@ class Decoder:
     calibration: Calibration  #: The pair on the grid of the x image.
     filters: CrossFilters  #: Matched filters of each candidate depth.
     deconvolver: Deconvolver  #: Wiener filters.
-    numerics: DecoderNumerics = DecoderNumerics()  #: How it computes.
+    numerics: DecoderNumerics = DecoderNumerics()  #: Numerics.
 
     @classmethod
     def of(

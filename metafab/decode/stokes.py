@@ -69,7 +69,8 @@ class StokesErrors:
     share_decoded: float  #: Share of the objects' pixels with a claimed depth.
     stokes_rms: float  #: Rms error of (S1, S2, S3) / S0 in windows of 9 x 9 pixels within objects.
     stokes_object_error: float  #: Largest error of any object's (S1, S2, S3) / S0.
-    stokes_interior_error: float  #: The same without the 6 pixels along outlines, where blurred neighbours mix.
+    #: Largest error of any object without the 6 pixels along outlines, where blurred neighbours mix.
+    stokes_interior_error: float
     psnr_s0_db: float  #: Peak signal-to-noise ratio of S0 within objects.
 
 

@@ -41,7 +41,7 @@ class LensDoses:
 
     @property
     def surroundings(self) -> int | None:
-        """Equal for lenses that need equal doses: those with nothing beside them."""
+        """Key that lenses of equal doses share: None with nothing beside the lens, else its number."""
         return None if self.process.resist.beside is None else self.number
 
     def at(self, lens_dose: float, lenses: Sequence[LensDoses]) -> LensDoses:

@@ -18,7 +18,7 @@ from metafab.core.numeric.compiled import compiled
 def dose_to_size_sums(
     size_index: NDArray[np.uint16], dose: Float32Array, others: Float32Array, at_edge: Float32Array, slope: Float32Array
 ) -> tuple[float, float]:
-    """Sums over both axes of all pillars of energy / slope and of 1 / slope; shapes as the module says."""
+    """Sums over both axes of all pillars of energy / slope and of 1 / slope; shapes as in the module."""
     energy, count = 0.0, 0.0
     for row in range(size_index.shape[0]):
         for column in range(size_index.shape[1]):
@@ -45,8 +45,7 @@ def newton_doses(
 ) -> tuple[float, int]:
     """Write new doses for a mean size error of zero; return the sum of squared residuals (nm^2) and the pillars.
 
-    ``bounds`` are the least and the largest dose, ``new_dose`` has the shape of ``dose``; other shapes as the module
-    says.
+    ``bounds`` are the least and the largest dose, ``new_dose`` has the shape of ``dose``; other shapes as in the module.
     """
     square, count = 0.0, 0
     for row in range(size_index.shape[0]):
@@ -77,7 +76,7 @@ def size_statistics(
     bin_nm: float,
     histogram: NDArray[np.int64],
 ) -> FloatArray:
-    """Add printed less drawn sizes to a histogram and return their sums; shapes as the module says.
+    """Add printed less drawn sizes to a histogram and return their sums; shapes as in the module.
 
     ``displacement_nm``, shape (2, n_y, n_x), is that of each edge, -inf where a pillar does not print. The histogram,
     shape (n_bins,), has bins of ``bin_nm`` and is centred on 0.

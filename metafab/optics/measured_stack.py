@@ -1,8 +1,8 @@
 """PSF pair from photographs or foreign simulations of a point at known depths: background, centre, twin and scale.
 
-A calibration by photographs lacks part of what a computed pair holds. What is missing is made, and each entry of
-:attr:`StackImport.made` names it: the twin by point reflection, the efficiency, the distance of the sensor, the split
-of the images, the zero of the depths.
+A calibration by photographs lacks part of a computed pair. Assumptions fill in, each named by an entry of
+:attr:`StackImport.made`: the twin by point reflection, the efficiency, the distance of the sensor, the split of the
+images, the zero of the depths.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class StackImport:
     split_um: tuple[float, float]  #: (x, y) from the x image to the y image on the sensor.
     distance_mm: float  #: Distance of the sensor.
     zero_m: float  #: Distance from the lens of the file's depth 0.
-    made: tuple[str, ...]  #: Sentences on what the file does not hold.
+    made: tuple[str, ...]  #: Sentences on the assumptions in place of data that the file lacks.
     warnings: tuple[str, ...]  #: Sentences on what may spoil the pair.
 
 

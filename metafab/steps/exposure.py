@@ -58,7 +58,7 @@ class ExposedMask:
     drawn: PillarMap  #: Pillars of the mask, with their bias.
     psf: BeamPsf  #: Point-spread function of the beam.
     exposure: Exposure  #: Printed sizes and doses.
-    beside: tuple[ShapesBeside, ...]  #: What the mask holds beside the lens.
+    beside: tuple[ShapesBeside, ...]  #: Shapes of the mask beside the lens.
     plain: SizeErrors | None  #: Size errors with one dose; None unless ``keep_plain``.
     lenses: Mapping[int, Exposure]  #: Exposures by number of the lens: of all lenses if their doses are corrected.
 

@@ -77,7 +77,7 @@ class MeritFigures:
     #: Share of the light at the aperture through the pinhole, for each depth; likewise y.
     pinhole_efficiency_x: tuple[float, ...]
     pinhole_efficiency_y: tuple[float, ...]
-    ideal_pinhole_efficiency_x: tuple[float, ...]  #: The same for the target phases; likewise y.
+    ideal_pinhole_efficiency_x: tuple[float, ...]  #: Pinhole efficiency of the target phases; likewise y.
     ideal_pinhole_efficiency_y: tuple[float, ...]
     #: (x, y) of the main lobe of PSF_x from the image point, for each depth; likewise y.
     main_lobe_x_um: tuple[tuple[float, ...], ...]
@@ -99,7 +99,7 @@ class MeritFigures:
     strehl: float | None = optional()
     encircled_energy: float | None = optional()
     #: Peak over that of the target phases, for each depth, not per transmitted power; likewise y. None where the window
-    #: misses or cuts the light: it compares what strays into the window with what strays there from the target phases.
+    #: misses or cuts the light, as both peaks are then stray light.
     relative_peak_x: tuple[float, ...] | None = optional()
     relative_peak_y: tuple[float, ...] | None = optional()
     #: Share of the light at the aperture in the frame of a hologram's picture at the focus depth, mean over the

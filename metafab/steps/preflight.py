@@ -8,7 +8,8 @@ from metafab.core.errors import Fault, InputError
 from metafab.spec import Design, Scene
 from metafab.steps.job import Job, Step, light_tangent
 
-#: Share of the aperture that may be too steep without a word: the rim of a lens that just fits, the centre of a vortex.
+#: Share of the aperture that may be too steep without a warning: the rim of a lens that just fits, the centre of a
+#: vortex.
 _STEEP_SHARE = 0.002
 
 

@@ -41,7 +41,7 @@ class StokesRun:
     efficiency: FloatArray  #: Shape (6,), share of each state's power in its window, of the written pillars.
     extinction_ratio: FloatArray  #: Shape (6,), efficiency over the share of the orthogonal state.
     ideal_efficiency: FloatArray  #: Shape (6,), efficiency of perfect pillars.
-    condition_number: float  #: Of the instrument matrix.
+    condition_number: float  #: Condition number of the instrument matrix.
     files: tuple[FileFigures, ...]  #: The mask files.
     mask: dict[str, Any]  #: Provenance, counts and areas of the mask, as in ``layout.json``.
 

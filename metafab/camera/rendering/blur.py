@@ -16,7 +16,7 @@ from metafab.core.conventions import FloatArray
 
 #: Share of the kernels' energy over the field that the basis may leave out.
 BASIS_TOLERANCE = 1e-6
-#: The same for veils, which only correct the light at outlines.
+#: Share that the basis of veils may leave out; they only correct the light at outlines.
 _VEIL_TOLERANCE = 1e-3
 #: Directions whose field weights are computed at a time: they stay in the cache.
 _BLOCK_PX = 4096

@@ -30,7 +30,7 @@ class Layer:
     rows: slice  #: Rows of the image, margin included.
     columns: slice  #: Columns of the image.
     light: FloatArray  #: Shape (n_rows, n_columns), electrons.
-    mask: Occluder | None  #: What the object hides; None for one out of sight.
+    mask: Occluder | None  #: Region that the object hides; None for one out of sight.
     flux: FloatArray  #: Shape of the mask, electrons that it would send if nothing stood before it.
 
     @classmethod

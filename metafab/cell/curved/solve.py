@@ -30,9 +30,9 @@ from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.cell.response import CellNumerics, CellResponse, SolverDetails
 from metafab.core.errors import SolverError
 
-#: Polynomial order -> (floor, share) of the bound. The change from order 3 to 4 says little by itself: beside a
-#: resonance the error of order 4 was 0.99 of it, and in an ellipse of 460 x 38 nm 2.4e-3 at a change of 6e-4. An error
-#: of p^-4 is 1.2, 1.4 and 1.7 of the last change at orders 7, 8 and 9.
+#: Polynomial order -> (floor, share) of the bound. The change from order 3 to 4 proves little alone: beside a resonance
+#: the error of order 4 was 0.99 of it, and in an ellipse of 460 x 38 nm 2.4e-3 at a change of 6e-4. An error of p^-4 is
+#: 1.2, 1.4 and 1.7 of the last change at orders 7, 8 and 9.
 _CLAIMS = {4: (4e-3, 2.0), 5: (5e-4, 2.0), 6: (2e-4, 2.0), 7: (1e-4, 2.0), 8: (6e-5, 2.4), 9: (4e-5, 2.8)}
 #: Largest index in a cell of low index; and the share of the change before the last that bounds the error of an ellipse
 #: from order 5 on, above that index and up to it, where the rims' field is less singular. Beside a resonance at an

@@ -73,8 +73,8 @@ def zero_order(
     Args:
         orders: cosines along each axis.
         formulation: "adaptive" or "fourier".
-        steps: a sloped pillar is cut into so many steps of equal height, each as wide as the pillar in the step's
-            middle; :func:`metafab.cell.rcwa.slicing.smooth` takes the limit of many.
+        steps: a sloped pillar is cut into this number of steps of equal height, each as wide as the pillar in the
+            step's middle; :func:`metafab.cell.rcwa.slicing.smooth` takes the limit of many.
         by_modes: solve by modes even where doubling is faster and accurate: an independent check.
 
     Raises:

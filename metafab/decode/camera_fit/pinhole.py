@@ -244,7 +244,7 @@ def _faults(points: Sequence[Sequence[PointImage]], depths_m: Sequence[float], f
     limit = max(_LARGEST_DEPTH_RMS * float(np.mean(1.0 / np.asarray(depths_m))), _SIGMAS * noise)
     if not faults and fit.vergence_rms_per_m > limit:
         expected = f"depths that differ from the table's by one offset, within {limit:.3g} per metre"
-        remedy = "does each frame's line in the table of depths tell its own depth?"
+        remedy = "does each line of the table of depths hold the depth of its frame?"
         faults.append(Fault("vergence_rms_per_m", expected, f"{fit.vergence_rms_per_m:.3g} per metre", remedy))
     return faults
 

@@ -32,7 +32,7 @@ class DepthBound:
     depth_m: float  #: Depth of the texture.
     #: Shape (n_y, n_x), 1/m^2 a pixel, for unknown texture and brightness ratio: a decoder's case.
     unknown_per_m2: FloatArray
-    #: Shape (n_y, n_x), 1/m^2 a pixel, for known texture; the difference is the price of not knowing.
+    #: Shape (n_y, n_x), 1/m^2 a pixel, for known texture; the difference is the cost of an unknown texture.
     known_per_m2: FloatArray
 
     @classmethod

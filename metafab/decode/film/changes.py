@@ -30,7 +30,7 @@ _WINDOW = 7
 #: Standard deviations of noise that are no change: the mean square has a longer tail than a Gaussian, and with 6 a
 #: false change passes once in some dozen frames of 10^5 pixels.
 _DEVIATIONS = 8.0
-#: Noise that every pixel has at least, as a share of that of a lit pixel: it leaks from bright neighbours.
+#: Least noise of a pixel, as a share of that of a lit one: noise leaks from bright neighbours.
 _SMALLEST_NOISE = 0.05
 #: Sides of changed rectangles, blocks: few sizes, so that their transforms can be kept.
 _SIDES = (*range(1, 13), *range(14, 25, 2), 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)

@@ -36,8 +36,8 @@ from metafab.decode.segmentation.segments import Regions
 
 #: Share of changed pixels from which a whole frame is decoded anew, with levels of its own.
 _MOST_CHANGED = 0.6
-#: Numbers of the changed frames that are decoded anew for comparison, and then every so many: the segmentation with
-#: fewer segments is kept, so that a bad start, and fragments of segments, do not last.
+#: Numbers of the changed frames that are decoded anew for comparison, and interval of the later ones: the segmentation
+#: with fewer segments is kept, so that a bad start, and fragments of segments, do not last.
 SECOND_LOOKS, _LOOK_AGAIN = (1, 3), 25
 #: Width of the surroundings with which a part is decoded, frame pixels.
 _SURROUNDINGS_PX = 12

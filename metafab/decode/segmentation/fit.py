@@ -1,9 +1,9 @@
-"""Goodness of fit by place: what is left of the twins where a segment's depth should make them equal.
+"""Goodness of fit by place: residual of the twins where a segment's depth should make them equal.
 
-At the right depth the filtered twins a and b of a texture are equal up to the contrast, and what is left of their
-difference is noise. Its square over the noise's variance, the null energy, is 1 in the mean. At a wrong depth, or where
-the blur of two depths mixes, it is larger. The noise is known, so that no other scale is needed but the calibration's
-own error, a share of the texture's energy that the segments' interiors show.
+At the right depth the filtered twins a and b of a texture are equal up to the contrast, and their residual is noise.
+Its square over the noise's variance, the null energy, is 1 in the mean. At a wrong depth, or where the blur of two
+depths mixes, it is larger. The noise is known, so that no other scale is needed but the calibration's own error, a
+share of the texture's energy that the segments' interiors show.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _OUTLIER = 16.0
 #: A surface is curved where a plane's misfit is above the first number and a quadric leaves less than this share of it:
 #: a ball 8.7 and 0.15, walls behind outlines up to 2.4 and 0.8. Last: the share for several segments, against theirs.
 _UNFIT_PLANE, _CURVED_SHARE, _RINGS_SHARE = 2.6, 0.5, 0.93
-#: Least relative change of vergence by curvature; fewest pixels; one of so many is fitted: windows overlap.
+#: Least relative change of vergence by curvature; fewest pixels; one pixel in this number is fitted: windows overlap.
 _SMALLEST_RISE, _FEWEST_CURVED, _FITTED_SHARE = 5e-3, 200, 4
 
 
@@ -73,7 +73,7 @@ class TwinEnergies:
 
     @property
     def null_energy(self) -> NDArray[np.float32]:
-        """What is left of the twins at their own contrast, shape (...): total least squares of a against b.
+        """Residual of the twins at their own contrast, shape (...): total least squares of a against b.
 
         The contrast may be negative: an object brighter than what it hides in one image, and darker in the other.
         """
@@ -89,7 +89,7 @@ class TwinEnergies:
 
 @dataclass(frozen=True)
 class Misfit:
-    """What is left of the twins at each pixel's depth, shape (n_y, n_x)."""
+    """Residual of the twins at each pixel's depth, shape (n_y, n_x)."""
 
     over_noise: NDArray[np.float32]  #: Null energy over what noise and the calibration's error explain: 1 if it fits.
     of_texture: NDArray[np.float32]  #: Null energy over the texture's energy.
@@ -167,7 +167,8 @@ def fitting_segments(
 
     Args:
         label: shape (n_y, n_x), number of each pixel's segment; 0 for none.
-        spoiled: shape (n_y, n_x), pixels about saturated or invalid ones; they stay, as their misfit tells nothing.
+        spoiled: shape (n_y, n_x), pixels about saturated or invalid ones; they stay, as their misfit carries no
+            information.
         own: misfit of each pixel at its segment's depth.
         misfit_of: returns the misfit of all pixels at the depth of a segment, by its number.
         reach: largest distance of the other segment, pixels.

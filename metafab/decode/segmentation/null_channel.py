@@ -37,7 +37,7 @@ _EVEN = 44
 _TEXTURE, _LEVEL, _MODEL_ERROR = 0.2, 0.7, 0.01
 #: Least light of an object over the surface's.
 _LEAST_LIGHT = 0.1
-#: Side of the window over which what is left in the null channel is averaged, downsampled pixels.
+#: Side of the window over which the residual of the null channel is averaged, downsampled pixels.
 _POOLED = 5
 #: Last pivot of a system with its target as last row: above twice any evidence, so that the factor exists.
 _UNREACHED = 1e30
@@ -52,8 +52,8 @@ class NullChannel:
 
     optics: LayerOptics  #: The pair.
     nodes: NDArray[np.complex64]  #: Shape (n_depth, 2, n, n // 2 + 1), transforms of the pair at the calibrated depths.
-    crossed: NDArray[np.complex128]  #: Shape (2, n, n // 2 + 1), what multiplies each image's transform.
-    spectrum: NDArray[np.complex128]  #: Of the null channel.
+    crossed: NDArray[np.complex128]  #: Shape (2, n, n // 2 + 1), factor of each image's transform.
+    spectrum: NDArray[np.complex128]  #: Transform of the null channel.
     precision: FloatArray  #: Inverse power of its noise and of the model's error.
     light: float  #: Mean light of the surface, electrons.
 
@@ -238,7 +238,7 @@ class _Side:
 
 @dataclass(frozen=True)
 class _Solution:
-    """Evidence of a rectangle, and what its texture and mean intensities follow from."""
+    """Evidence of a rectangle, and the solution from which its texture and mean intensities follow."""
 
     evidence: float
     factor: FloatArray

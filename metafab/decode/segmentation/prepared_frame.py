@@ -102,8 +102,8 @@ class PreparedFrame:
     ) -> tuple[NDArray[np.complex64], NDArray[np.bool_]]:
         """Transforms of the downsampled images in which the light about bright pixels fades into an even level.
 
-        The matched filters reach farther than the blur: beside a bright outline, what they spread outweighs the texture
-        of a dim surface.
+        The matched filters reach farther than the blur: beside a bright outline, their spread outweighs the texture of
+            a dim surface.
 
         Args:
             bright: shape (n_y, n_x), downsampled pixels.

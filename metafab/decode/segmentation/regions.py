@@ -62,8 +62,9 @@ _CLEARLY_BETTER = 0.93
 _UNFIT = 2.6
 #: Side of a cell of such surfaces, frame pixels; layers that they cross within a cell, and most of their planes.
 _SURFACE_CELL_PX, _SURFACE_STEEPEST, _MOST_SURFACES = 18, 6.0, 24
-#: Most downsampled pixels and cells of a frame whose surfaces are sought. A pixel takes a kilobyte. So many cells take
-#: 0.4 GB, which grows with their square, and 4 s of processor time; frames of 1.0 to 1.3 million pixels have 4000.
+#: Most downsampled pixels and cells of a frame whose surfaces are sought. A pixel takes a kilobyte. This number of
+#: cells takes 0.4 GB, which grows with its square, and 4 s of processor time; frames of 1.0 to 1.3 million pixels have
+#: 4000.
 _MOST_SURFACE_PIXELS, _MOST_SURFACE_CELLS = 400_000, 4000
 #: Misfit from which a pixel is left out of its segment's depth: 12 samples of noise reach it in one of 10^3 windows.
 _LARGEST_MISFIT = 2.5

@@ -51,7 +51,7 @@ class SegmentDepth:
 
     vergence_per_m: float  #: 1/depth; at the centre of the plane for a tilted segment.
     relative_error: float  #: Standard error of depth over depth; inf if the twins agree at no depth.
-    correlation: float  #: Of the twins at that depth.
+    correlation: float  #: Correlation of the twins at that depth.
     power: float  #: Mean square of the filtered twins there, geometric mean of both, electrons squared.
     plane: Plane  #: Depth over the picture.
     pixels: float = 0.0  #: Downsampled pixels that the depth is measured on.

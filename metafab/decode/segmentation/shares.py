@@ -81,8 +81,8 @@ def outline_owners(
         optics: the pair on the frame's downsampled pixels.
 
     Returns:
-        Shape (n_y, n_x), number of each pixel's segment, 0 for none. None where the model says nothing: no two segments
-        touch, a segment has no lit pixel, or there are more than 40 segments or 1 GB of their model.
+        Shape (n_y, n_x), number of each pixel's segment, 0 for none. None where the model does not apply: no two
+        segments touch, a segment has no lit pixel, or there are more than 40 segments or 1 GB of their model.
     """
     if not 2 <= len(depths) <= _MOST_LAYERS:
         return None

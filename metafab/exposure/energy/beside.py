@@ -64,8 +64,7 @@ class Beside:
         return replace(self, lens_dose=lens_dose, rectangle_dose=1.0 / lens_dose)
 
     def with_doses(self, doses: Mapping[int, Float32Array], lens_dose: float) -> Beside:
-        """These figures beside a lens whose doses hold its own one; other lenses, by number, at doses of shape (n_y,
-        n_x)."""
+        """These figures beside a lens whose doses hold its own; others, by number, take doses of shape (n_y, n_x)."""
         lenses = tuple(replace(lens, doses=doses.get(lens.number, lens.doses)) for lens in self.lenses)
         return replace(self, lenses=lenses, lens_dose=lens_dose)
 

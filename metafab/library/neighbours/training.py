@@ -48,13 +48,13 @@ _STEADY_WEIGHT = 16.0
 _STRONGEST_WEIGHT = 8.0
 #: Sites of a row of weight 1. Longer rows hold more orders and count in proportion.
 _SITES = 7.0
-#: One row in so many is held out of the fit.
+#: One row in this number is held out of the fit.
 _HELD_OUT = 6
 #: Part of the light cone beyond which an order is grazing, and the weight of its squared residual in the fit.
 _GRAZING, _GRAZING_WEIGHT = 0.95, 0.3
 #: Fits from different random parameters. Each begins with two modes less of each parity, on one row in four; another of
-#: each and more rows come with every stage of so many steps. The one with the smallest loss is fitted to its end, and
-#: again with each of the modes beyond :data:`SHAPES`.
+#: each and more rows come with every stage of this number of steps. The one with the smallest loss is fitted to its
+#: end, and again with each of the modes beyond :data:`SHAPES`.
 STARTS, _ONE_ROW_IN, _STAGE_STEPS, _LAST_STEPS = 4, (4, 2, 1), 25, 120
 #: Stated errors over the smallest that hold on all held-out rows: a margin for rows yet unseen.
 _MARGIN = 1.15

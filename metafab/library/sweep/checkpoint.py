@@ -3,7 +3,7 @@
 Each line is JSON and its checksum: a header with the fingerprint of the build's inputs, then one record per point.
 Numbers read back exactly. Points are solved again from the first line that a kill cut short or that is damaged. The
 process that has the file open holds a lock, which ends with the process, and a hidden file beside names the process and
-its host. A second build of one library says so and waits.
+its host. A second build of one library reports this and waits.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 
-#: Points of an aperture: they tell an edge's place in it to about a hundredth of the diameter.
+#: Points of an aperture: they locate an edge in it to about a hundredth of the diameter.
 COUNT = 128
 #: Steps of the three-dimensional Kronecker sequence of the golden ratio's generalisation (root of g^4 = g + 1).
 _STEPS = 1.2207440846057596 ** -np.arange(1.0, 4.0)

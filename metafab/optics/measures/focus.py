@@ -49,7 +49,7 @@ class LensFocus:
 
     perfect: Source  #: Field behind a :class:`PerfectLens` of the same aperture.
     depth_m: float  #: Object depth.
-    polarisations: tuple[int, ...] = (0, 1)  #: Those that the lens focuses, 0 for x and 1 for y.
+    polarisations: tuple[int, ...] = (0, 1)  #: Polarisations that the lens focuses, 0 for x and 1 for y.
 
     def spot(self, pupils: Sequence[Pupil], imaging: Imaging, target_error: float) -> tuple[float, float, float]:
         """Widths of the focus along x and y, um, and its maximum per unit of transmitted power, 1/um^2.

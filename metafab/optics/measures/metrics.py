@@ -106,7 +106,7 @@ def largest_pinhole_um(psf: Psf, wanted_um: float = PINHOLE_UM) -> float:
 def peak_on_edge(psf: Psf) -> bool:
     """Return whether the brightest pixel of a polarisation lies on the edge of its window, at the middle depth.
 
-    The image then continues outside: what is measured is a part of it.
+    The image then continues outside, and figures are those of a part of it.
     """
     middle = psf.psf[:, psf.depth_m.size // 2]
     inner = middle[:, 1:-1, 1:-1].max(axis=(1, 2), initial=0.0)

@@ -31,7 +31,7 @@ SingleComplexArray = NDArray[np.complex64]
 #: Size of the kernel cache (least recently used out first), and the largest window that is cached: up to 2 MB each.
 _KERNELS_KEPT, _LARGEST_KEPT_PX = 16, 128
 
-#: Vectors of the first random sketch of a kernel, and those of them that may not be needed: they make the others exact.
+#: Vectors of the first random sketch of a kernel, and surplus vectors among them, which make the others exact.
 _SKETCH, _SPARE = 40, 8
 
 
@@ -132,8 +132,8 @@ def _split_rest(spec: KernelSpec, window_um: Span, rest_rad: float) -> tuple[Com
 def _leading_vectors(matrix: ComplexArray, tolerance: float) -> ComplexArray:
     """Fewest right singular vectors, rows of (rank, n), that hold a square matrix to ``tolerance``, weakest first.
 
-    The range is found by a random sketch (Halko, Martinsson and Tropp, SIAM Review 53, 217, 2011), which is widened
-    until what the vectors lose of the squared Frobenius norm, known to 1e-15, is small enough.
+    The range is found by a random sketch (Halko, Martinsson and Tropp, SIAM Review 53, 217, 2011), widened until the
+    vectors miss a small enough part of the squared Frobenius norm, which is known to 1e-15.
     """
     whole, n = float(np.vdot(matrix, matrix).real), len(matrix)
     for width in (_SKETCH, 3 * _SKETCH, n):

@@ -55,7 +55,7 @@ class SideLobeDesign(SampledMask):
 
     @property
     def limited_at_start(self) -> float:
-        """The same quantity of the mask without a limit."""
+        """The limited quantity in the mask without a limit."""
         return _reduced(self.start_side_lobe, self.over)
 
     @property

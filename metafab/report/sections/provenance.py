@@ -15,7 +15,7 @@ _LATER = {"report.html", "steps.json", SUMMARY_FILE}
 def skipped(run: RunFolder) -> str:
     """Steps that the design does not need, and work that the others left out.
 
-    Times and memory stand in ``summary.json`` alone: pages do not tell time.
+    Times and memory stand in ``summary.json`` alone, so that equal runs give equal pages.
     """
     steps = [[escape(entry.step), html.prose(entry.why)] for entry in run.summary.skipped if entry.why != UNCHANGED]
     savings = [_saving(entry) for entry in run.summary.saved]

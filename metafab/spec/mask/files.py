@@ -96,7 +96,7 @@ class Mask(Checked):
         if len(set(self.formats)) != len(self.formats):
             yield "`formats` must name each of 'gds' and 'oas' at most once; [] writes no mask"
         if self.chip is None and any(copy.label is not None for copy in self.copies):
-            yield "labels of `copies` need [mask.chip], which says their size and layer"
+            yield "labels of `copies` need [mask.chip], which sets their size and layer"
         used = [self.layer, *((self.field_layer,) if self.tone != "negative" else ())]
         used += self.chip.layers if self.chip is not None else ()
         used += self.kit.layers if self.kit is not None else ()
