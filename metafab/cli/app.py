@@ -130,7 +130,7 @@ def program_options(
         list[str],
         typer.Option(
             metavar="NAME=N",
-            help="Limit on what reading a file may take: memory_mb, shapes, depth or seconds; once for each.",
+            help="Limit for reading a file: memory_mb, shapes, depth or seconds; may be repeated.",
             callback=_state_limits,
         ),
     ] = [],  # noqa: B006 (typer copies it)

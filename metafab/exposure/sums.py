@@ -45,7 +45,8 @@ def newton_doses(
 ) -> tuple[float, int]:
     """Write new doses for a mean size error of zero; return the sum of squared residuals (nm^2) and the pillars.
 
-    ``bounds`` are the least and the largest dose, ``new_dose`` has the shape of ``dose``; other shapes as in the module.
+    ``bounds`` are the least and the largest dose, ``new_dose`` has the shape of ``dose``; other
+    shapes as in the module.
     """
     square, count = 0.0, 0
     for row in range(size_index.shape[0]):

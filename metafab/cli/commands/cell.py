@@ -174,7 +174,8 @@ def library_import(
         typer.Option(help="The amplitudes: ratio of fields, power with phase, or power-normalised S parameter."),
     ],
     time_sign: Annotated[
-        Literal["minus", "plus"], typer.Option(help="The program's exp(-i omega t) or exp(+i omega t).")
+        Literal["minus", "plus"],
+        typer.Option(help="The program's time dependence: exp(-i omega t) or exp(+i omega t)."),
     ] = "minus",
     output: Output = None,
     json_: Json = False,

@@ -168,7 +168,7 @@ def fullwave_command(
     workers: Workers = None,
     json_: Json = False,
 ) -> None:
-    """Transmitted orders of supercells: by the library's model, RCWA, Meep, or lone pillars."""
+    """Compute the transmitted orders of supercells: by the library's model, RCWA, Meep, or lone pillars."""
     from metafab.cell.elements.solve import ElementNumerics
     from metafab.core.storage.files import write_json
     from metafab.fullwave.blocks import BlockNumerics, read_blocks, solve_blocks

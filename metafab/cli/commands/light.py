@@ -177,21 +177,21 @@ def import_command(
     pixel_um: Annotated[float, typer.Option("--pixel-um", metavar="P", help="Pixel pitch of the pictures.")],
     split_um: Annotated[
         tuple[float, float] | None,
-        typer.Option("--split-um", metavar="X Y", help="From the x to the y image on the sensor [default: made]."),
+        typer.Option("--split-um", metavar="X Y", help="From the x to the y image on the sensor [default: assumed]."),
     ] = None,
     distance_mm: Annotated[
-        float | None, typer.Option("--distance-mm", metavar="D", help="From the lens to the sensor [default: made].")
+        float | None, typer.Option("--distance-mm", metavar="D", help="From the lens to the sensor [default: assumed].")
     ] = None,
     zero_m: Annotated[
         float | None,
-        typer.Option("--zero-m", metavar="Z", help="Distance from the lens of depth 0 [default: 0, or made]."),
+        typer.Option("--zero-m", metavar="Z", help="Distance from the lens of depth 0 [default: 0, or assumed]."),
     ] = None,
     channels: Annotated[
         int | None, typer.Option(min=1, max=2, metavar="N", help="Channels to expect [default: the file's].")
     ] = None,
     datasets: Annotated[
         list[str] | None,
-        typer.Option("--dataset", metavar="NAME", help="Its name in a .mat or .h5; one for each channel."),
+        typer.Option("--dataset", metavar="NAME", help="Name of the array in a .mat or .h5; one for each channel."),
     ] = None,
     centring: Annotated[
         Literal["auto", "mass", "brightest", "turn", "none"],

@@ -35,10 +35,10 @@ def new_command(
     aperture_um: Annotated[float | None, typer.Option(help="Diameter of a metalens.")] = None,
     wavelength_nm: Annotated[float | None, typer.Option(help="Wavelength of a new unit cell.")] = None,
     material: Annotated[
-        str | None, typer.Option(help="Its pillars: TiO2, Si, a-Si, SiN, a record, a CSV file or n.")
+        str | None, typer.Option(help="Pillar material: TiO2, Si, a-Si, SiN, a record, a CSV file or an index.")
     ] = None,
-    substrate: Annotated[str | None, typer.Option(help="Its substrate [default: SiO2].")] = None,
-    shape: Annotated[str | None, typer.Option(help="Its shape: rectangle, circle, ellipse, cross or ring.")] = None,
+    substrate: Annotated[str | None, typer.Option(help="Substrate material [default: SiO2].")] = None,
+    shape: Annotated[str | None, typer.Option(help="Pillar shape: rectangle, circle, ellipse, cross or ring.")] = None,
     output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the files.")] = Path(),
     json_: Json = False,
 ) -> None:
@@ -95,7 +95,9 @@ def run_command(
     cluster: Cluster = None,
     skip: Annotated[
         bool,
-        typer.Option("--skip/--no-skip", help="Leave out what need not be computed; the ledger is in the report."),
+        typer.Option(
+            "--skip/--no-skip", help="Leave out work that the target errors do not need; the report lists it."
+        ),
     ] = True,
     json_: Json = False,
 ) -> None:

@@ -33,8 +33,8 @@ def benchmark_command(
         typer.Option(
             "--only",
             metavar="NAME",
-            help="Case of `scenes`, part of `expose`, `files`, kind of `certificates`, `faults`, um of `apertures`, "
-            "job of `cluster`; repeats.",
+            help="Case of `scenes`, part of `expose` or `files`, kind of `certificates` or `faults`, aperture (um) of "
+            "`apertures`, job of `cluster`; may be repeated.",
         ),
     ] = None,
     seeds: Annotated[

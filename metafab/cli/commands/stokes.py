@@ -24,7 +24,7 @@ def stokes_command(
     ] = 10.0,
     json_: Json = False,
 ) -> None:
-    """Full-Stokes imaging with a camera design: turned pillars, six images, Stokes vectors and depth."""
+    """Simulate full-Stokes imaging with a camera design: turned pillars, six images, Stokes vectors and depth."""
     from metafab import report
     from metafab.core.errors import InputError
     from metafab.steps.stokes import full_stokes
