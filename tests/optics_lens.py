@@ -21,7 +21,17 @@ SINE = math.sin(math.radians(ANGLE_DEG))
 def imaging(*, aperture_um: float = 60.0, focal_length_mm: float = 0.3, **changes: object) -> Imaging:
     """A lens of the small design's numerical aperture, a tenth of its sites; sensor sharp at three focal lengths."""
     focus = 1.5 * focal_length_mm * 1e3 * math.cos(math.radians(ANGLE_DEG))
-    return replace(Imaging(0.8, focal_length_mm, ANGLE_DEG, focus, 1.2, aperture_um), **changes)
+    return replace(
+        Imaging(
+            wavelength_um=0.8,
+            focal_length_mm=focal_length_mm,
+            split_angle_deg=ANGLE_DEG,
+            sensor_distance_um=focus,
+            pixel_um=1.2,
+            aperture_um=aperture_um,
+        ),
+        **changes,
+    )
 
 
 def eq_3_and_4(optics: Imaging) -> object:
@@ -56,7 +66,9 @@ def lattice(optics: Imaging, period_nm: float = 350.0) -> Lattice:
 
 def ideal(optics: Imaging, *terms: object) -> IdealField:
     """Target phases at full transmission."""
-    device = Device(optics.aperture_um, optics.focal_length_mm, optics.aperture_shape)
+    device = Device(
+        aperture_um=optics.aperture_um, focal_length_mm=optics.focal_length_mm, aperture_shape=optics.aperture_shape
+    )
     return ideal_field(PhaseProfile(terms), lattice(optics), device)
 
 

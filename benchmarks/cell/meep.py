@@ -179,7 +179,15 @@ def _lens(pool: Pool, count: int = 28, focus_um: float = 10.0, padding: int = 2)
     alone = np.where(inside, answer.responses[padding:-padding, padding:-padding], 0.0)
     library = np.where(inside, own[chosen], 0.0)
     lattice = Lattice((700, 700), (count, count), 0.5)
-    imaging = Imaging(0.8, focus_um * 1e-3, 0.0, focus_um, 0.1, count * 0.35, "circle")
+    imaging = Imaging(
+        wavelength_um=0.8,
+        focal_length_mm=focus_um * 1e-3,
+        split_angle_deg=0.0,
+        sensor_distance_um=focus_um,
+        pixel_um=0.1,
+        aperture_um=count * 0.35,
+        aperture_shape="circle",
+    )
     axis = np.linspace(-3.0, 3.0, 61)
     x, y = (grid.ravel() for grid in np.meshgrid(axis, axis))
     by_meep, by_library, by_grid = (

@@ -95,7 +95,7 @@ def _far(draws: int) -> dict[str, Any]:
 def _tiles() -> dict[str, Any]:
     """All sites of the 2 mm lens, both polarisations, one thread; extrapolated from twenty tiles."""
     helix = optimise_peak(4).term(1000.0)
-    profile = PhaseProfile((helix, SplitLensPhase(0.8, 20000.0, 8.0)))
+    profile = PhaseProfile((helix, SplitLensPhase(wavelength_um=0.8, image_distance_um=20000.0, angle_deg=8.0)))
     x_um = (np.arange(TILE_SITES) + 400.0) * PERIOD_UM
     y_um = (np.arange(TILE_SITES) - 900.0) * PERIOD_UM
     phase = profile(x_um, y_um)

@@ -114,7 +114,14 @@ def dyadic(field: ComplexArray, place_um: FloatArray, axis_um: FloatArray, focal
 
 def by_metafab(amplitude: ComplexArray, lens: Lens, *, scalar: bool) -> FloatArray:
     """|E|^2 in the focal plane by the optics room, per unit of incident power; ``amplitude`` is power-normalised."""
-    imaging = Imaging(1e-3 * CELL.wavelength_nm, 1e-3 * lens.focal_um, 0.0, lens.focal_um, STEP_UM, lens.aperture_um)
+    imaging = Imaging(
+        wavelength_um=1e-3 * CELL.wavelength_nm,
+        focal_length_mm=1e-3 * lens.focal_um,
+        split_angle_deg=0.0,
+        sensor_distance_um=lens.focal_um,
+        pixel_um=STEP_UM,
+        aperture_um=lens.aperture_um,
+    )
     period_dbu = round(CELL.period_nm[0])
     sites = Sites(Lattice((period_dbu, period_dbu), amplitude.shape, 1.0), amplitude)
     points = 2 * round(REACH_UM / STEP_UM) + 2

@@ -36,8 +36,12 @@ def lens_field(design: Design, imaging: Imaging) -> WrittenField:
     x, y = lattice.x_um(), lattice.y_um()
     radius = 0.5 * design.device.aperture_um
     terms = (
-        SpiralZonesPhase(4, 0.5, radius),
-        SplitLensPhase(imaging.wavelength_um, 1e3 * imaging.focal_length_mm, imaging.split_angle_deg),
+        SpiralZonesPhase(zones=4, exponent=0.5, radius_um=radius),
+        SplitLensPhase(
+            wavelength_um=imaging.wavelength_um,
+            image_distance_um=1e3 * imaging.focal_length_mm,
+            angle_deg=imaging.split_angle_deg,
+        ),
     )
     index = np.zeros(lattice.shape, dtype=np.uint16)
     for row in range(0, y.size, 256):

@@ -12,30 +12,32 @@
 
 from metafab.camera.capture import capture, draws, film
 from metafab.camera.exact import exact_psf
-from metafab.camera.frames.batch import Draw, load_draw, save_batch
-from metafab.camera.frames.foreign import Counts, counts_of, load_frame, require_frame_name, save_counts
+from metafab.camera.frames.batch import Draw as Draw
+from metafab.camera.frames.batch import load_draw, save_batch
+from metafab.camera.frames.foreign import (
+    Counts,
+    load_frame,
+    save_counts,
+)
+from metafab.camera.frames.foreign import counts_of as counts_of
+from metafab.camera.frames.foreign import require_frame_name as require_frame_name
 from metafab.camera.frames.frame import RawFrame, Truth
 from metafab.camera.frames.store import load, save
-from metafab.camera.geometry import ImageMap
-from metafab.camera.kernels import PairKernels
+from metafab.camera.geometry import ImageMap as ImageMap
+from metafab.camera.kernels import PairKernels as PairKernels
 
 __all__ = [
     "capture",
     "film",
     "draws",
-    "Draw",
-    "save_batch",
-    "load_draw",
     "RawFrame",
     "Truth",
+    "exact_psf",
     "load",
     "save",
     "load_frame",
     "save_counts",
     "Counts",
-    "counts_of",
-    "exact_psf",
-    "ImageMap",
-    "PairKernels",
-    "require_frame_name",
+    "save_batch",
+    "load_draw",
 ]

@@ -18,12 +18,12 @@ from metafab.comparison.study import (
 )
 
 __all__ = [
+    "compare",
     "Comparison",
     "ComparisonFigures",
-    "Rival",
-    "compare",
     "comparison_figures",
-    "load_comparison",
     "rivals",
+    "Rival",
+    "load_comparison",
     "save_comparison",
 ]

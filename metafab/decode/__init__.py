@@ -14,31 +14,32 @@
 - ``store``          Image4D <-> decoded.h5
 """
 
-from metafab.core.figures import SegmentFigures
-from metafab.decode.camera_fit.pinhole import NOT_SEPARATED, CameraFit, calibrate, read_depths
+from metafab.core.figures import SegmentFigures as SegmentFigures
+from metafab.decode.camera_fit.pinhole import NOT_SEPARATED as NOT_SEPARATED
+from metafab.decode.camera_fit.pinhole import (
+    CameraFit,
+    calibrate,
+)
+from metafab.decode.camera_fit.pinhole import read_depths as read_depths
 from metafab.decode.decoder import FAST, Decoder, DecoderNumerics, decode
 from metafab.decode.evaluation.bound import DepthBound
 from metafab.decode.evaluation.metrics import object_errors
 from metafab.decode.film.video import VideoDecoder
 from metafab.decode.image import Image4D
-from metafab.decode.segmentation.prepared_frame import NO_LIGHT
+from metafab.decode.segmentation.prepared_frame import NO_LIGHT as NO_LIGHT
 from metafab.decode.store import load, save
 
 __all__ = [
-    "NOT_SEPARATED",
-    "NO_LIGHT",
-    "CameraFit",
+    "decode",
     "Decoder",
     "DecoderNumerics",
     "FAST",
-    "DepthBound",
-    "Image4D",
-    "SegmentFigures",
     "VideoDecoder",
+    "Image4D",
     "calibrate",
-    "decode",
+    "CameraFit",
     "load",
-    "object_errors",
-    "read_depths",
     "save",
+    "object_errors",
+    "DepthBound",
 ]

@@ -19,39 +19,35 @@ Energies are relative to that of a large pad at the base dose, or to the clearin
 """
 
 from metafab.exposure.electrons.beam import BeamPsf
-from metafab.exposure.electrons.process import beam_psf, exposure_process
-from metafab.exposure.energy.beside import Beside, OtherLens
+from metafab.exposure.electrons.process import beam_psf
+from metafab.exposure.electrons.process import exposure_process as exposure_process
+from metafab.exposure.energy.beside import Beside as Beside
+from metafab.exposure.energy.beside import OtherLens as OtherLens
 from metafab.exposure.energy.resist import ResistEnergy
 from metafab.exposure.expose import (
     ExposedLens,
     Exposure,
     ExposureFigures,
     ExposureNumerics,
-    SampledPillar,
-    SizeErrors,
     expose,
     expose_lenses,
 )
-from metafab.exposure.record import ExposureRecord, load_record, save_record
+from metafab.exposure.expose import SampledPillar as SampledPillar
+from metafab.exposure.expose import SizeErrors as SizeErrors
+from metafab.exposure.record import ExposureRecord as ExposureRecord
+from metafab.exposure.record import load_record as load_record
+from metafab.exposure.record import save_record as save_record
 from metafab.spec.mask import BeamTerm
 
 __all__ = [
-    "BeamPsf",
-    "BeamTerm",
-    "Beside",
-    "ExposedLens",
-    "Exposure",
-    "ExposureFigures",
-    "ExposureNumerics",
-    "ExposureRecord",
-    "OtherLens",
-    "ResistEnergy",
-    "SampledPillar",
-    "SizeErrors",
-    "beam_psf",
     "expose",
     "expose_lenses",
-    "exposure_process",
-    "load_record",
-    "save_record",
+    "Exposure",
+    "ExposureNumerics",
+    "ExposureFigures",
+    "beam_psf",
+    "BeamPsf",
+    "BeamTerm",
+    "ExposedLens",
+    "ResistEnergy",
 ]

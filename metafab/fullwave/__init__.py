@@ -18,17 +18,17 @@ from metafab.fullwave.patch import Patch, load_patch, plan_patch, save_patch, so
 from metafab.fullwave.written import supercell_at
 
 __all__ = [
+    "measure_coupling",
     "Coupling",
     "CouplingNumerics",
-    "Patch",
-    "load_coupling",
-    "load_patch",
-    "measure_coupling",
     "plan_patch",
-    "save_coupling",
-    "save_patch",
     "solve_patch",
+    "Patch",
     "supercell_at",
+    "load_coupling",
+    "save_coupling",
+    "load_patch",
+    "save_patch",
 ]
 
 if not TYPE_CHECKING:

@@ -15,15 +15,15 @@ from metafab.information.texture import PointSource, Texture, restored_error
 from metafab.information.twin_images import conjugate_information, known_texture_information, twin_information
 
 __all__ = [
-    "PlaneEstimator",
-    "PointSource",
     "Texture",
+    "PointSource",
+    "twin_information",
     "conjugate_information",
-    "depth_crlb_m",
-    "depth_slope",
     "known_texture_information",
     "point_information",
-    "restored_error",
     "twin_depth_information",
-    "twin_information",
+    "depth_crlb_m",
+    "depth_slope",
+    "restored_error",
+    "PlaneEstimator",
 ]

@@ -58,7 +58,7 @@ class Texture:
         return np.asarray(spectrum)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PointSource:
     """A point source and the noise of its image."""
 

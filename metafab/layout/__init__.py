@@ -27,17 +27,17 @@ from metafab.layout.outlines import Outline
 from metafab.layout.pillars import Lattice, PillarMap, PillarTile
 
 __all__ = [
-    "Aperture",
-    "Assignment",
-    "Lattice",
-    "Outline",
-    "PillarMap",
-    "PillarTile",
     "assign",
-    "field_sites",
+    "Assignment",
+    "PillarMap",
+    "Lattice",
     "lattice_of",
-    "sampling_lattice",
+    "Outline",
+    "Aperture",
+    "PillarTile",
     "smallest_gap",
+    "sampling_lattice",
+    "field_sites",
     "tile_sites",
 ]
 

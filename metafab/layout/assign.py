@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import FloatArray
+from metafab.core.display import Displayed
 from metafab.core.errors import InputError
 from metafab.core.figures import LightMapping, MappingFigures
 from metafab.core.parallel.executor import AHEAD, default_workers, in_order
@@ -47,8 +48,8 @@ _SAME_RAD = 1e-2
 _SAME_T = 1e-6
 
 
-@dataclass(frozen=True)
-class Assignment:
+@dataclass(frozen=True, repr=False)
+class Assignment(Displayed):
     """The pillars of a lens and how well they follow the target phases."""
 
     pillars: PillarMap  #: The map.
@@ -57,6 +58,16 @@ class Assignment:
     #: The figures under ``gap_rule = "each"``, where sizes were chosen jointly; else None.
     gap_rule_each: MappingFigures | None = None
     lights: tuple[LightMapping, ...] = ()  #: The figures at each wavelength, where sizes were chosen for several.
+
+    def key_figures(self) -> dict[str, str]:
+        """Pillars, gap and efficiency of the mapping."""
+        found = self.figures
+        return {
+            "pillars": f"{found.pillars} of {found.distinct_sizes} sizes",
+            "smallest gap": "-" if found.min_gap_nm is None else f"{found.min_gap_nm:g} nm",
+            "light in the wanted wave": f"{found.efficiency:.3f}",
+            "phase error": f"{found.phase_rms_error_rad:.3f} rad rms",
+        }
 
     def to_json(self) -> dict[str, Any]:
         """The figures as they stand in ``summary.json`` and ``layout.json``."""

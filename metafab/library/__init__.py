@@ -29,19 +29,19 @@ from metafab.library.use.lookup import SizeTable, build_size_table
 from metafab.library.use.quality import quality
 
 __all__ = [
-    "Library",
-    "SizeTable",
     "build",
-    "build_file",
-    "build_size_table",
-    "check",
-    "expected_cells",
-    "evaluate",
-    "index_phase_error_rad",
-    "is_current",
     "load",
-    "quality",
+    "Library",
     "save",
+    "evaluate",
+    "check",
+    "quality",
+    "build_file",
+    "is_current",
+    "expected_cells",
+    "SizeTable",
+    "build_size_table",
+    "index_phase_error_rad",
 ]
 
 if not TYPE_CHECKING:

@@ -27,18 +27,18 @@ from metafab.mask.read import ReadBack, read, read_shapes
 from metafab.mask.write import WrittenFile, biased, table_names, write
 
 __all__ = [
+    "write",
+    "read",
     "ReadBack",
     "WrittenFile",
-    "announcement",
-    "biased",
-    "from_gdstk",
     "plan",
-    "read",
+    "from_gdstk",
     "read_shapes",
+    "biased",
+    "announcement",
     "shapes_beside",
     "table_names",
     "top_name",
-    "write",
 ]
 
 if not TYPE_CHECKING:

@@ -22,40 +22,41 @@ In: a :class:`~metafab.layout.pillars.PillarMap` with its :class:`~metafab.libra
 from typing import TYPE_CHECKING
 
 from metafab.core.further import further_names
-from metafab.optics.geometry.imaging import Imaging, depth_nodes, field_tangents
-from metafab.optics.geometry.plate import Plate
+from metafab.optics.geometry.imaging import Imaging
+from metafab.optics.geometry.imaging import depth_nodes as depth_nodes
+from metafab.optics.geometry.imaging import field_tangents as field_tangents
+from metafab.optics.geometry.plate import Plate as Plate
 from metafab.optics.interpolation import at_depths, at_tangent
 from metafab.optics.numerics import PsfNumerics
 from metafab.optics.point_spread import Psf
-from metafab.optics.propagation.image import relative_l2
-from metafab.optics.sources.apodisation import Apodisation, apodised
-from metafab.optics.sources.neighbours import NeighbourField, neighbour_field
-from metafab.optics.sources.source import Source, WrittenField, ideal_field, made_field, written_field
+from metafab.optics.propagation.image import relative_l2 as relative_l2
+from metafab.optics.sources.apodisation import Apodisation as Apodisation
+from metafab.optics.sources.apodisation import apodised as apodised
+from metafab.optics.sources.neighbours import NeighbourField as NeighbourField
+from metafab.optics.sources.neighbours import neighbour_field
+from metafab.optics.sources.source import Source as Source
+from metafab.optics.sources.source import WrittenField as WrittenField
+from metafab.optics.sources.source import (
+    ideal_field,
+    made_field,
+    written_field,
+)
 from metafab.optics.stack import psf
 from metafab.optics.store import load, save
 
 __all__ = [
-    "Apodisation",
-    "Imaging",
-    "Plate",
+    "psf",
     "Psf",
+    "Imaging",
     "PsfNumerics",
-    "Source",
-    "WrittenField",
-    "apodised",
+    "written_field",
+    "ideal_field",
+    "made_field",
+    "neighbour_field",
     "at_depths",
     "at_tangent",
-    "depth_nodes",
-    "field_tangents",
-    "ideal_field",
     "load",
-    "psf",
-    "relative_l2",
     "save",
-    "made_field",
-    "written_field",
-    "NeighbourField",
-    "neighbour_field",
 ]
 
 if not TYPE_CHECKING:

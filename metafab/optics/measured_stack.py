@@ -295,7 +295,14 @@ def _distorted_field(psf: Psf, split_um: float, offset_um: FloatArray) -> PsfFie
     """
     distance_um = psf.sensor_distance_um
     angle_deg = math.degrees(math.atan(0.5 * split_um / distance_um))
-    lens = Imaging(1.0, 1.0, angle_deg, distance_um, psf.pixel_um, 1.0)
+    lens = Imaging(
+        wavelength_um=1.0,
+        focal_length_mm=1.0,
+        split_angle_deg=angle_deg,
+        sensor_distance_um=distance_um,
+        pixel_um=psf.pixel_um,
+        aperture_um=1.0,
+    )
     tangents = np.linspace(-0.5, 0.5, _FIELD_NODES) * abs(split_um) / distance_um
     places = [[[lens.image_point_um(p, (x, y)) for x in tangents] for y in tangents] for p in (0, 1)]
     centre_um = np.array(places) + offset_um[:, None, None]

@@ -15,49 +15,44 @@ from typing import TYPE_CHECKING
 
 from metafab.core.further import further_names
 from metafab.phase.build import profile_of
-from metafab.phase.optimise.blind import optimise_blind
-from metafab.phase.optimise.peak import optimise_peak
-from metafab.phase.optimise.rotation import main_lobe
-from metafab.phase.optimise.side_lobes import limit_side_lobes
-from metafab.phase.pupil import Pupil
-from metafab.phase.store import load, save
-from metafab.phase.studies.bandwidth import bandwidth_budget
-from metafab.phase.studies.compare import compare_masks
+from metafab.phase.optimise.blind import optimise_blind as optimise_blind
+from metafab.phase.optimise.peak import optimise_peak as optimise_peak
+from metafab.phase.optimise.rotation import main_lobe as main_lobe
+from metafab.phase.optimise.side_lobes import limit_side_lobes as limit_side_lobes
+from metafab.phase.pupil import Pupil as Pupil
+from metafab.phase.store import load as load
+from metafab.phase.store import save as save
+from metafab.phase.studies.bandwidth import bandwidth_budget as bandwidth_budget
+from metafab.phase.studies.compare import compare_masks as compare_masks
 from metafab.phase.studies.propose import propose
 from metafab.phase.studies.study import study
-from metafab.phase.terms.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
-from metafab.phase.terms.helices import DoubleHelixPhase, SpiralZonesPhase, VortexPhase, WaveSumPhase
-from metafab.phase.terms.hologram import ImagePlane, design_hologram
+from metafab.phase.terms.carriers import AxiconPhase as AxiconPhase
+from metafab.phase.terms.carriers import GratingPhase, LensPhase, SplitLensPhase
+from metafab.phase.terms.helices import DoubleHelixPhase as DoubleHelixPhase
+from metafab.phase.terms.helices import (
+    SpiralZonesPhase,
+    VortexPhase,
+)
+from metafab.phase.terms.helices import WaveSumPhase as WaveSumPhase
+from metafab.phase.terms.hologram import ImagePlane as ImagePlane
+from metafab.phase.terms.hologram import design_hologram
 from metafab.phase.terms.profile import PhaseProfile
-from metafab.phase.terms.sampled import SampledPhase, load_array
+from metafab.phase.terms.sampled import SampledPhase
+from metafab.phase.terms.sampled import load_array as load_array
 from metafab.phase.terms.zernike import ZernikePhase
 
 __all__ = [
-    "AxiconPhase",
-    "DoubleHelixPhase",
-    "GratingPhase",
-    "ImagePlane",
-    "LensPhase",
-    "PhaseProfile",
-    "Pupil",
-    "SampledPhase",
-    "SpiralZonesPhase",
-    "SplitLensPhase",
-    "VortexPhase",
-    "WaveSumPhase",
-    "ZernikePhase",
-    "bandwidth_budget",
-    "compare_masks",
-    "design_hologram",
-    "limit_side_lobes",
-    "load",
-    "load_array",
-    "main_lobe",
-    "optimise_blind",
-    "optimise_peak",
     "profile_of",
+    "PhaseProfile",
+    "LensPhase",
+    "SplitLensPhase",
+    "SpiralZonesPhase",
+    "GratingPhase",
+    "VortexPhase",
+    "ZernikePhase",
+    "SampledPhase",
+    "design_hologram",
     "propose",
-    "save",
     "study",
 ]
 

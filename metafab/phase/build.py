@@ -80,32 +80,55 @@ def _plain_term(design: Design, term: spec.PhaseTerm) -> Term:
     only = term.polarisation
     if isinstance(term, spec.SplitLens):
         image_um, object_um = _conjugates_um(design, term.object_depth_m)
-        return SplitLensPhase(wavelength_um, image_um, term.angle_deg, object_um, polarisation=only)
+        return SplitLensPhase(
+            wavelength_um=wavelength_um,
+            image_distance_um=image_um,
+            angle_deg=term.angle_deg,
+            object_distance_um=object_um,
+            polarisation=only,
+        )
     if isinstance(term, spec.Lens):
         image_um, object_um = _conjugates_um(design, term.object_depth_m)
-        return LensPhase(wavelength_um, image_um, object_um, polarisation=only)
+        return LensPhase(
+            wavelength_um=wavelength_um, image_distance_um=image_um, object_distance_um=object_um, polarisation=only
+        )
     if isinstance(term, spec.Vortex):
-        return VortexPhase(term.charge, polarisation=only)
+        return VortexPhase(charge=term.charge, polarisation=only)
     if isinstance(term, spec.Grating):
-        return GratingPhase(wavelength_um, term.angle_deg, term.azimuth_deg, polarisation=only)
+        return GratingPhase(
+            wavelength_um=wavelength_um, angle_deg=term.angle_deg, azimuth_deg=term.azimuth_deg, polarisation=only
+        )
     if isinstance(term, spec.Axicon):
-        return AxiconPhase(wavelength_um, term.angle_deg, polarisation=only)
+        return AxiconPhase(wavelength_um=wavelength_um, angle_deg=term.angle_deg, polarisation=only)
     if isinstance(term, spec.DoubleHelix):
-        return DoubleHelixPhase(radius_um, term.waist, term.modes, polarisation=only)
+        return DoubleHelixPhase(radius_um=radius_um, waist=term.waist, modes=term.modes, polarisation=only)
     if isinstance(term, spec.Zernike):
-        return ZernikePhase(term.degree, term.order, term.amplitude_rad, radius_um, polarisation=only)
+        return ZernikePhase(
+            degree=term.degree,
+            order=term.order,
+            amplitude_rad=term.amplitude_rad,
+            radius_um=radius_um,
+            polarisation=only,
+        )
     if isinstance(term, spec.Zernikes):
         numbered = enumerate(term.coefficients_rad, start=1)
         found = [(zernike_number(number, term.convention), value) for number, value in numbered if value]
         return SumTerm(
-            tuple(ZernikePhase(n, m, norm * value, radius_um, polarisation=only) for (n, m, norm), value in found)
-            or (ZernikePhase(0, 0, 0.0, radius_um),)
+            tuple(
+                ZernikePhase(degree=n, order=m, amplitude_rad=norm * value, radius_um=radius_um, polarisation=only)
+                for (n, m, norm), value in found
+            )
+            or (ZernikePhase(degree=0, order=0, amplitude_rad=0.0, radius_um=radius_um),)
         )
     if isinstance(term, spec.Radial):
         if term.convention == "binary2":
-            return RadialPhase(term.coefficients, term.norm_radius_um or radius_um, polarisation=only)
+            return RadialPhase(
+                coefficients_rad=term.coefficients, radius_um=term.norm_radius_um or radius_um, polarisation=only
+            )
         per_mm = 2e3 * math.pi / wavelength_um
-        return RadialPhase(tuple(per_mm * value for value in term.coefficients), 1e3, polarisation=only)
+        return RadialPhase(
+            coefficients_rad=tuple(per_mm * value for value in term.coefficients), radius_um=1e3, polarisation=only
+        )
     if isinstance(term, spec.UserArray):
         # The radius of a square aperture is its half side.
         return load_array(term.file, term.pitch_um, term.dataset, radius_um, only)
@@ -126,7 +149,9 @@ def _helix(design: Design, term: spec.SpiralZones, progress: Progress) -> tuple[
     """Spiral zones, optimised as the design file says, and their figures."""
     radius_um, shape = 0.5 * design.device.aperture_um, design.device.aperture_shape
     if term.optimise == "none":
-        plain = SpiralZonesPhase(term.zones, term.exponent, radius_um, polarisation=term.polarisation)
+        plain = SpiralZonesPhase(
+            zones=term.zones, exponent=term.exponent, radius_um=radius_um, polarisation=term.polarisation
+        )
         return plain, _with_rotation(PhaseFigures(peak_gain=1.0), design, term, plain, Pupil(shape=shape))
     brightest = optimise_peak(
         term.zones,
@@ -347,4 +372,4 @@ def _picture(term: spec.Picture) -> FloatArray:
 def _image_plane(design: Design) -> ImagePlane:
     pitch_um = 1e-3 * min(design.unit_cell.cell.period_nm)
     distance_um = _conjugates_um(design, design.sensor.focus_depth_m)[0]
-    return ImagePlane(pitch_um, design.wavelength_um, distance_um)
+    return ImagePlane(pitch_um=pitch_um, wavelength_um=design.wavelength_um, distance_um=distance_um)

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from metafab.camera.frames.frame import RawFrame
 from metafab.decode.image import Image4D
-from metafab.layout import PillarMap
+from metafab.layout import Assignment, PillarMap
 from metafab.library import Library
 from metafab.optics import Psf
 from metafab.report.figures.image import depth, intensity, raw_frame
@@ -80,6 +80,7 @@ def _image(image: Image4D) -> Figure:
 _DRAWINGS: dict[type, Callable[[Any], Figure]] = {
     Library: _library,
     PillarMap: _pillars,
+    Assignment: lambda mapped: _pillars(mapped.pillars),
     Psf: _psf,
     RawFrame: _frame,
     Image4D: _image,

@@ -18,49 +18,44 @@
 In: paths. Out: frozen dataclasses whose public names carry their units.
 """
 
-from metafab.spec.cell import Axes, Illumination, Material, Solver, Sweep, UnitCell
+from metafab.spec.cell import Axes as Axes
+from metafab.spec.cell import Illumination as Illumination
+from metafab.spec.cell import Material as Material
+from metafab.spec.cell import Solver as Solver
+from metafab.spec.cell import Sweep as Sweep
+from metafab.spec.cell import UnitCell
 from metafab.spec.construct import make_design, make_unit_cell
-from metafab.spec.design import Design, Device, Numerics, Optics, Rules, Sensor, Verify
-from metafab.spec.light import Light
+from metafab.spec.design import Design
+from metafab.spec.design import Device as Device
+from metafab.spec.design import Numerics as Numerics
+from metafab.spec.design import Optics as Optics
+from metafab.spec.design import Rules as Rules
+from metafab.spec.design import Sensor as Sensor
+from metafab.spec.design import Verify as Verify
+from metafab.spec.light import Light as Light
 from metafab.spec.load import load_design, load_process, load_scene, load_unit_cell
-from metafab.spec.mask import Chip, Copy, Dose, Exposure, Mask
+from metafab.spec.mask import Chip as Chip
+from metafab.spec.mask import Copy as Copy
+from metafab.spec.mask import Dose as Dose
+from metafab.spec.mask import Exposure as Exposure
+from metafab.spec.mask import Mask as Mask
 from metafab.spec.new import kinds, write_new
 from metafab.spec.scene import Scene, SceneObject
-from metafab.spec.substrate import Substrate
-from metafab.spec.terms import PhaseTerm
-from metafab.spec.toml import canonical_toml
+from metafab.spec.substrate import Substrate as Substrate
+from metafab.spec.terms import PhaseTerm as PhaseTerm
+from metafab.spec.toml import canonical_toml as canonical_toml
 
 __all__ = [
-    "Axes",
-    "Chip",
-    "Copy",
-    "Design",
-    "Device",
-    "Dose",
-    "Exposure",
-    "Illumination",
-    "Light",
-    "Mask",
-    "Material",
-    "Numerics",
-    "Optics",
-    "PhaseTerm",
-    "Rules",
-    "Scene",
-    "SceneObject",
-    "Sensor",
-    "Solver",
-    "Substrate",
-    "Sweep",
-    "UnitCell",
-    "Verify",
-    "canonical_toml",
-    "kinds",
     "load_design",
-    "load_process",
-    "load_scene",
-    "load_unit_cell",
     "make_design",
     "make_unit_cell",
     "write_new",
+    "kinds",
+    "Design",
+    "UnitCell",
+    "Scene",
+    "SceneObject",
+    "load_unit_cell",
+    "load_scene",
+    "load_process",
 ]

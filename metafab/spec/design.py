@@ -42,7 +42,7 @@ _LEAST_RULE = 1e-3
 MAX_WINDOW_PX = 2048
 
 
-@dataclass(frozen=True, config=CONFIG)
+@dataclass(frozen=True, kw_only=True, config=CONFIG)
 class Device(Checked):
     """The lens: aperture and focal length.
 

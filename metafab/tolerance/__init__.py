@@ -15,12 +15,12 @@ from metafab.tolerance.study import tolerance_table
 from metafab.tolerance.table import load_tolerance, save_tolerance
 
 __all__ = [
-    "CornerField",
-    "ToleranceRow",
+    "tolerance_table",
     "ToleranceTable",
+    "ToleranceRow",
     "corner_fields",
     "fields_at",
+    "CornerField",
     "load_tolerance",
     "save_tolerance",
-    "tolerance_table",
 ]

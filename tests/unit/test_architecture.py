@@ -30,8 +30,8 @@ DOORS = {
     "xarray": "core/labelled.py",
 }
 
-#: Most files of a folder ("about a dozen", with its ``__init__``), and most lines of a file.
-MOST_FILES, MOST_LINES = 13, 600
+#: Most files of a folder ("about a dozen", with its ``__init__``), lines of a file, and names that a face lists.
+MOST_FILES, MOST_LINES, MOST_NAMES = 13, 600, 13
 
 FILES = sorted(PACKAGE.rglob("*.py"))
 
@@ -118,6 +118,13 @@ def test_folders_hold_about_a_dozen_files() -> None:
     folders = {path.parent for path in FILES}
     counts = {folder.relative_to(PACKAGE).as_posix(): len(list(folder.glob("*.py"))) for folder in folders}
     assert {folder: count for folder, count in counts.items() if count > MOST_FILES} == {}
+
+
+@pytest.mark.parametrize("face", sorted(PACKAGE.glob("*/__init__.py")), ids=lambda p: p.parent.name)
+def test_faces_list_about_ten_names(face: Path) -> None:
+    lists = [node for node in ast.parse(face.read_text(encoding="utf-8")).body if isinstance(node, ast.Assign)]
+    named = {ast.unparse(node.targets[0]): node.value for node in lists}
+    assert len(getattr(named.get("__all__"), "elts", [])) <= MOST_NAMES
 
 
 def test_nobody_imports_a_private_name() -> None:

@@ -64,7 +64,7 @@ class Crystal:
     @cached_property
     def plate(self) -> Plate:
         """The plate as the ordinary wave sees it."""
-        return Plate(self.substrate.thickness_um, self.n_ordinary)
+        return Plate(thickness_um=self.substrate.thickness_um, index=self.n_ordinary)
 
     def at_wavelength(self, wavelength_um: float) -> Crystal:
         """Return the plate at another wavelength; indices and retardance disperse."""

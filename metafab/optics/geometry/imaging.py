@@ -28,7 +28,7 @@ _CUBIC_ERROR_PER_RAD4 = 4.0e-3
 _FEWEST_NODES = 6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Imaging:
     """Geometry of lens and sensor for the propagation."""
 
@@ -62,18 +62,18 @@ class Imaging:
         crystal = None if design.substrate is None else Crystal(design.substrate, design.wavelength_um)
         distance = sensor_distance_um(device.focal_length_mm, angle_deg, sensor.focus_depth_m)
         return cls(
-            design.wavelength_um,
-            device.focal_length_mm,
-            angle_deg,
-            distance,
-            sensor.pixel_um,
-            device.aperture_um,
-            device.aperture_shape,
-            _deflections(design, distance),
-            device.inner_um,
-            device.outline_um,
-            _plates(design) if crystal is None else (crystal.plate, crystal.plate),
-            crystal,
+            wavelength_um=design.wavelength_um,
+            focal_length_mm=device.focal_length_mm,
+            split_angle_deg=angle_deg,
+            sensor_distance_um=distance,
+            pixel_um=sensor.pixel_um,
+            aperture_um=device.aperture_um,
+            aperture_shape=device.aperture_shape,
+            deflection=_deflections(design, distance),
+            inner_um=device.inner_um,
+            outline_um=device.outline_um,
+            plates=_plates(design) if crystal is None else (crystal.plate, crystal.plate),
+            crystal=crystal,
         )
 
     def aimed_at(self, centre_um: tuple[float, float]) -> Imaging:
@@ -177,7 +177,7 @@ def _plates(design: Design) -> tuple[Plate, ...]:
         return ()
     cell = design.unit_cell
     index = refractive_index(cell.materials.substrate, cell.illumination.wavelength_nm)
-    return tuple(Plate(design.optics.substrate_um, float(n.real)) for n in index[:2])
+    return tuple(Plate(thickness_um=design.optics.substrate_um, index=float(n.real)) for n in index[:2])
 
 
 def _cosines(place_um: tuple[float, float], distance_um: float) -> tuple[float, float]:

@@ -27,7 +27,7 @@ _NODES = 8
 _NEWTON_STEPS = 5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plate:
     """Plane-parallel plate before the lens."""
 

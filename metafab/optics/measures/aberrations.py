@@ -92,7 +92,11 @@ def _polynomials(pupil: Pupil, radius_um: float, convention: _Convention) -> Flo
     terms = []
     for number in range(1, TERMS + 1):
         degree, order, norm = zernike_number(number, convention)
-        terms.append(ZernikePhase(degree, order, norm, radius_um)(pupil.x_um, pupil.y_um, "x"))
+        terms.append(
+            ZernikePhase(degree=degree, order=order, amplitude_rad=norm, radius_um=radius_um)(
+                pupil.x_um, pupil.y_um, "x"
+            )
+        )
     return np.array(terms)
 
 

@@ -44,8 +44,8 @@ def reference_masks(pupil: Pupil, zones: int, exponent: float) -> dict[str, Comp
     A standard lens, the plain spiral of Eq. 2, and the double helix of Pavani and Piestun (2008).
     """
     terms: dict[str, Term] = {
-        "plain spiral": SpiralZonesPhase(zones, exponent, 1.0),
-        "double helix": DoubleHelixPhase(1.0, 0.35, 5),
+        "plain spiral": SpiralZonesPhase(zones=zones, exponent=exponent, radius_um=1.0),
+        "double helix": DoubleHelixPhase(radius_um=1.0, waist=0.35, modes=5),
     }
     fields = {name: np.stack([pupil_field(term, pupil, 1.0, p) for p in POLARISATIONS]) for name, term in terms.items()}
     return {"standard lens": np.ones((2, pupil.count), dtype=np.complex128), **fields}

@@ -20,7 +20,7 @@ class Carrier(PolarisedTerm):
     """Base of the terms that send all light somewhere and leave the shape of the PSF to the others."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class LensPhase(Carrier):
     """On-axis hyperbolic lens: -k (sqrt(r^2 + s^2) - s), plus this term with a finite object distance."""
 
@@ -33,7 +33,7 @@ class LensPhase(Carrier):
         return np.asarray(-2.0 * math.pi / self.wavelength_um * path)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SplitLensPhase(Carrier):
     """Off-axis lenses of Eqs. 3 and 4 of Shen 2023: x polarisation to -theta, y polarisation to +theta.
 
@@ -78,7 +78,7 @@ def path_um(
     return path
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class GratingPhase(Carrier):
     """A linear phase that deflects normal incidence by ``angle_deg`` towards ``azimuth_deg``."""
 
@@ -92,7 +92,7 @@ class GratingPhase(Carrier):
         return np.asarray((slope * math.sin(azimuth) * y_um)[:, None] + slope * math.cos(azimuth) * x_um)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class AxiconPhase(Carrier):
     """Axicon: deflects light by ``angle_deg``, towards the axis for a positive angle."""
 

@@ -31,7 +31,7 @@ def zone_charges(radius: FloatArray, zones: int, exponent: float) -> NDArray[np.
     return np.minimum(np.searchsorted(zone_radii(zones, exponent), radius, side="left") + 1, zones)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SpiralZonesPhase(PolarisedTerm):
     """Fresnel zones with spiral phases of charge 1 to L outwards: Eq. 2 of Shen 2023; y is the point mirror of x."""
 
@@ -49,7 +49,7 @@ class SpiralZonesPhase(PolarisedTerm):
 
 def spiral_field(pupil: Pupil, zones: int, exponent: float) -> ComplexArray:
     """Return exp(i psi) of Eq. 2 (L, epsilon) for x polarisation at the n samples of a pupil: shape (n,)."""
-    return pupil_field(SpiralZonesPhase(zones, exponent, 1.0), pupil, 1.0)
+    return pupil_field(SpiralZonesPhase(zones=zones, exponent=exponent, radius_um=1.0), pupil, 1.0)
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class WaveSumPhase(PolarisedTerm):
         return phasor(np.outer(position, tilt_rad) - np.outer(position**2, self.defocus_rad))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class VortexPhase(PolarisedTerm):
     """A spiral phase of integer charge, equal for both polarisations."""
 
@@ -98,7 +98,7 @@ class VortexPhase(PolarisedTerm):
         return self.charge * np.arctan2(y_um[:, None], x_um)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class DoubleHelixPhase(PolarisedTerm):
     """The phase of a sum of Gauss-Laguerre modes on a line of the modal plane, for comparison; y mirrors x.
 

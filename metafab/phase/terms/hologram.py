@@ -29,7 +29,7 @@ _PICTURE_WEIGHT = 0.5
 _GREEDY_SHARE = 1.0 / 3.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ImagePlane:
     """The plane of a picture, and the sites that send light to it."""
 

@@ -12,7 +12,7 @@ from metafab.core.conventions import FloatArray, Polarisation
 from metafab.phase.terms.profile import PolarisedTerm
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ZernikePhase(PolarisedTerm):
     """The phase amplitude R_n^|m|(u) cos(m phi), or sin(|m| phi) for negative m (Born and Wolf, section 9.2)."""
 
@@ -28,7 +28,7 @@ class ZernikePhase(PolarisedTerm):
         return np.asarray(self.amplitude_rad * radial * (turn.imag if self.order < 0 else turn.real))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class RadialPhase(PolarisedTerm):
     """The even polynomial sum over i of c_i (r / radius)^(2 i), i from 1."""
 

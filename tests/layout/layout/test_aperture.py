@@ -49,7 +49,7 @@ def _area_um2(design: Design) -> float:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_from_phases_to_a_psf(shape: str, smooth_library: Library, tiny_design: Design, tmp_path: Path) -> None:
     design = _design(tiny_design, shape)
-    lens = LensPhase(design.wavelength_um, 200.0)
+    lens = LensPhase(wavelength_um=design.wavelength_um, image_distance_um=200.0)
     assignment = layout.assign(PhaseProfile((lens,)), smooth_library, design)
     assert assignment.figures.pillars == Aperture.of(design).count
     mask.write(assignment.pillars, tmp_path, design)
@@ -76,7 +76,9 @@ def test_a_pillar_outside_and_one_missing_are_found(
     shape: str, smooth_library: Library, tiny_design: Design, tmp_path: Path
 ) -> None:
     design = _design(tiny_design, shape)
-    assignment = layout.assign(PhaseProfile((LensPhase(0.8, 200.0),)), smooth_library, design)
+    assignment = layout.assign(
+        PhaseProfile((LensPhase(wavelength_um=0.8, image_distance_um=200.0),)), smooth_library, design
+    )
     index = assignment.pillars.to_array().copy()
     filled, empty = np.argwhere(index > 0), np.argwhere(index == 0)
     index[tuple(filled[7])] = 0

@@ -32,6 +32,12 @@ def test_exactly_the_sites_inside_the_aperture_carry_a_pillar(tiny: Assignment, 
     assert tiny.figures.pillars == aperture.count
 
 
+def test_a_notebook_shows_the_mapping_with_its_pillars(tiny: Assignment) -> None:
+    html = tiny._repr_html_()
+    assert "<img" in html
+    assert f"{tiny.figures.efficiency:.3f}" in html
+
+
 def test_figures_are_what_a_direct_sum_over_the_pillars_gives(
     tiny: Assignment, profile: PhaseProfile, smooth_library: Library, tiny_design: Design
 ) -> None:

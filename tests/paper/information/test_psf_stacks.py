@@ -38,7 +38,7 @@ def masks() -> dict[str, ComplexArray]:
         "lens": np.ones(PUPIL.count, dtype=complex),
         "single helix": pupil_field(optimise_peak(4, pupil=PUPIL).term(1.0), PUPIL, 1.0),
         "plain spiral": spiral_field(PUPIL, 4, 0.5),
-        "double helix": pupil_field(DoubleHelixPhase(1.0, 0.35, 5), PUPIL, 1.0),
+        "double helix": pupil_field(DoubleHelixPhase(radius_um=1.0, waist=0.35, modes=5), PUPIL, 1.0),
     }
 
 

@@ -59,7 +59,14 @@ def test_a_plain_lens_gives_the_airy_pattern() -> None:
     At NA 0.02 the exact kernel differs from the paraxial one by NA^2 / 2 = 2e-4. The rim's sites make the aperture
     ragged: its area, known exactly, enters squared, its shape by some 1e-4 in the far side lobes.
     """
-    optics = Imaging(0.8, 2.5, 0.0, 2500.0, 4.0, 100.0)
+    optics = Imaging(
+        wavelength_um=0.8,
+        focal_length_mm=2.5,
+        split_angle_deg=0.0,
+        sensor_distance_um=2500.0,
+        pixel_um=4.0,
+        aperture_um=100.0,
+    )
     f = optics.focal_length_mm * 1e3
     source = lens.ideal(optics, lambda x, y, p: -optics.wavenumber * (np.hypot(np.hypot(x, y[:, None]), f) - f))
     result = psf(source, optics, [math.inf], PsfNumerics(window_px=32, target_error=1e-4))

@@ -266,7 +266,7 @@ def test_a_filter_smears_the_light_of_the_table(written: WrittenField) -> None:
 def test_one_window_has_neither_extinction_nor_depth_nor_turn(written: WrittenField) -> None:
     """A lens on its axis: noise used to stand in these columns."""
     alone = lens.imaging(split_angle_deg=0.0)
-    device = Device(alone.aperture_um, alone.focal_length_mm)
+    device = Device(aperture_um=alone.aperture_um, focal_length_mm=alone.focal_length_mm)
     perfect = ideal_field(PerfectLens(alone, DEPTHS_M[1]), written.lattice, device)
     optics, pupils, error = MaskOptics.of(perfect, alone, DEPTHS_M, PsfNumerics(window_px=48))
     reference = Reference.of(optics, pupils, error)
@@ -282,7 +282,7 @@ def test_the_focus_of_a_lens_at_a_corner_is_that_of_its_own_measurement(written:
     Both are computed to 1e-3.
     """
     alone, lattice = lens.imaging(split_angle_deg=0.0), written.lattice
-    device = Device(alone.aperture_um, alone.focal_length_mm)
+    device = Device(aperture_um=alone.aperture_um, focal_length_mm=alone.focal_length_mm)
     perfect = ideal_field(PerfectLens(alone, DEPTHS_M[1]), lattice, device)
     aberrated = ideal_field(_Aberrated(alone, DEPTHS_M[1]), lattice, device)
     for polarisations in ((0, 1), (0,)):

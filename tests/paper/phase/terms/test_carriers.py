@@ -15,7 +15,7 @@ WAVELENGTH_UM, RADIUS_UM, FOCAL_UM, ANGLE_DEG, FOCUS_M = 0.8, 1000.0, 20000.0, 8
 def test_eqs_3_and_4() -> None:
     x_um, y_um = np.linspace(-1000.0, 1000.0, 41), np.linspace(-900.0, 950.0, 37)
     x, y, sine = x_um[None, :], y_um[:, None], math.sin(math.radians(ANGLE_DEG))
-    term = SplitLensPhase(WAVELENGTH_UM, FOCAL_UM, ANGLE_DEG)
+    term = SplitLensPhase(wavelength_um=WAVELENGTH_UM, image_distance_um=FOCAL_UM, angle_deg=ANGLE_DEG)
     for polarisation, sign in (("x", 1.0), ("y", -1.0)):
         root = np.sqrt(x**2 + y**2 + FOCAL_UM**2 + sign * 2.0 * x * FOCAL_UM * sine)
         expected = -2.0 * math.pi / WAVELENGTH_UM * (root - FOCAL_UM)
@@ -25,7 +25,7 @@ def test_eqs_3_and_4() -> None:
 
 def test_x_polarised_parallel_light_goes_to_minus_theta() -> None:
     """Stationary phase: a plane wave leaves the centre with transverse slope d psi / dx = k sin(direction)."""
-    term = SplitLensPhase(WAVELENGTH_UM, FOCAL_UM, ANGLE_DEG)
+    term = SplitLensPhase(wavelength_um=WAVELENGTH_UM, image_distance_um=FOCAL_UM, angle_deg=ANGLE_DEG)
     x_um = np.array([-0.5, 0.5])
     for polarisation, sign in (("x", -1.0), ("y", 1.0)):
         slope = np.diff(term(x_um, np.zeros(1), polarisation)[0])[0]  # type: ignore[arg-type]

@@ -23,7 +23,7 @@ def test_zones_of_eq_2() -> None:
 
 
 def test_phase_of_eq_2_is_charge_times_azimuth_and_counts_turns_in_each_zone() -> None:
-    term = SpiralZonesPhase(4, 0.5, RADIUS_UM)
+    term = SpiralZonesPhase(zones=4, exponent=0.5, radius_um=RADIUS_UM)
     azimuth = np.linspace(0.0, 2.0 * math.pi, 401)
     for charge in range(1, 5):
         radius_um = RADIUS_UM * math.sqrt((charge - 0.5) / 4)

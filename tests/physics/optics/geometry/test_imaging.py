@@ -34,7 +34,14 @@ def test_the_field_biases_the_depth_of_the_two_channels_oppositely() -> None:
     maximum is found by a quartic through 13 depths; 2 % covers it.
     """
     f_mm = 0.3
-    optics = Imaging(0.8, f_mm, lens.ANGLE_DEG, 450.0 * math.cos(math.radians(lens.ANGLE_DEG)), 0.8, 60.0)
+    optics = Imaging(
+        wavelength_um=0.8,
+        focal_length_mm=f_mm,
+        split_angle_deg=lens.ANGLE_DEG,
+        sensor_distance_um=450.0 * math.cos(math.radians(lens.ANGLE_DEG)),
+        pixel_um=0.8,
+        aperture_um=60.0,
+    )
     source = lens.ideal(optics, lens.eq_3_and_4(optics))
     vergence = 1e3 / 0.9 + np.linspace(-150.0, 150.0, 13)
     depths = np.sort(1.0 / vergence)

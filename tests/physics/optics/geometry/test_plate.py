@@ -18,7 +18,7 @@ from metafab.spec import Design
 from metafab.spec.design import Optics
 from tests import optics_lens as lens
 
-PLATE = Plate(430.0, 1.7601)
+PLATE = Plate(thickness_um=430.0, index=1.7601)
 OPTICS = lens.imaging(aperture_um=40.0)
 POINT = (0.0, 0.0, 450.0)
 
@@ -56,7 +56,7 @@ def test_on_the_axis_the_object_comes_nearer_by_h_times_1_less_1_over_n() -> Non
 @example(depth_um=3500.0, angle_deg=0.0, index=4.0, share=0.875)
 def test_the_path_is_the_shortest_one(depth_um: float, angle_deg: float, index: float, share: float) -> None:
     """Fermat: the sum of the two lengths over all points of the face, by brute force over the crossing point."""
-    plate = Plate(share * depth_um, index)
+    plate = Plate(thickness_um=share * depth_um, index=index)
     # Nearer than 1.7 times the lens point, the quadrature is off by up to 1e-6 um.
     assume(depth_um - focus_shift_um(plate) > 1200.0)
     offset_um = depth_um * math.tan(math.radians(angle_deg))
@@ -93,7 +93,7 @@ def test_parallel_light_is_not_changed_and_far_objects_tend_to_it() -> None:
 
 def test_a_plate_of_index_1_or_without_thickness_is_none() -> None:
     x = np.array([-300.0, 0.0, 250.0])
-    for plate in (Plate(430.0, 1.0), Plate(0.0, 1.76)):
+    for plate in (Plate(thickness_um=430.0, index=1.0), Plate(thickness_um=0.0, index=1.76)):
         behind, air = _paths(Ray(1e-4, (0.3, -0.2), POINT, plate), x, 0.5 * x)
         np.testing.assert_allclose(behind, air, atol=1e-12)
         np.testing.assert_allclose(plate.amplitude_ratio(x, 0.5 * x, 1e-4, (0.3, -0.2)), 1.0, atol=1e-12)
@@ -128,7 +128,7 @@ def test_flux_is_conserved_between_rings_of_rays() -> None:
 @pytest.mark.parametrize("target", [1e-2, 1e-4])
 def test_psfs_behind_a_plate_keep_the_stated_error(tangent: tuple[float, float], target: float) -> None:
     """Half the way to the object is sapphire, other for x and y: the direct sum finds its rays by bisection."""
-    optics = replace(OPTICS, plates=(Plate(450.0, 1.76), Plate(450.0, 1.5)))
+    optics = replace(OPTICS, plates=(Plate(thickness_um=450.0, index=1.76), Plate(thickness_um=450.0, index=1.5)))
     source = lens.written(optics, lens.eq_2(optics), lens.eq_3_and_4(optics))
     result = psf(source, optics, [0.7e-3, 0.9e-3], PsfNumerics(window_px=24, target_error=target), tangent=tangent)
     bare = psf(source, OPTICS, [0.7e-3, 0.9e-3], PsfNumerics(window_px=24, target_error=target), tangent=tangent)

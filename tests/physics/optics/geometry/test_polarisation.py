@@ -24,9 +24,18 @@ def _lens(sine: float, aperture_um: float) -> tuple[IdealField, Imaging]:
     focal_um = 0.5 * aperture_um / math.tan(math.asin(sine))
     count = 2 * math.ceil(0.5e3 * aperture_um / PERIOD_NM)
     lattice = Lattice((PERIOD_NM, PERIOD_NM), (count, count), 1.0)
-    device = Device(aperture_um, 1e-3 * focal_um)
-    profile = PhaseProfile((LensPhase(WAVELENGTH_UM, focal_um, math.inf),))
-    imaging = Imaging(WAVELENGTH_UM, 1e-3 * focal_um, 0.0, focal_um, WAVELENGTH_UM / sine / 8.0, aperture_um)
+    device = Device(aperture_um=aperture_um, focal_length_mm=1e-3 * focal_um)
+    profile = PhaseProfile(
+        (LensPhase(wavelength_um=WAVELENGTH_UM, image_distance_um=focal_um, object_distance_um=math.inf),)
+    )
+    imaging = Imaging(
+        wavelength_um=WAVELENGTH_UM,
+        focal_length_mm=1e-3 * focal_um,
+        split_angle_deg=0.0,
+        sensor_distance_um=focal_um,
+        pixel_um=WAVELENGTH_UM / sine / 8.0,
+        aperture_um=aperture_um,
+    )
     return ideal_field(profile, lattice, device), imaging
 
 

@@ -31,13 +31,29 @@ def _found(
 ) -> AberrationFigures:
     """Aberrations of a lens with the polynomials (number, coefficient in waves)."""
     count = 2 * math.ceil(0.5e3 * aperture_um / 200)
-    lattice, device = Lattice((200, 200), (count, count), 1.0), Device(aperture_um, 1e-3 * FOCAL_UM)
+    lattice, device = (
+        Lattice((200, 200), (count, count), 1.0),
+        Device(aperture_um=aperture_um, focal_length_mm=1e-3 * FOCAL_UM),
+    )
     added = []
     for number, waves in terms:
         degree, order, norm = zernike_number(number, convention)  # type: ignore[arg-type]
-        added.append(ZernikePhase(degree, order, 2.0 * math.pi * norm * waves, 0.5 * aperture_um))
-    profile = PhaseProfile((LensPhase(WAVELENGTH_UM, FOCAL_UM, math.inf), *added))
-    imaging = Imaging(WAVELENGTH_UM, 1e-3 * FOCAL_UM, 0.0, FOCAL_UM, 0.4, aperture_um)
+        added.append(
+            ZernikePhase(
+                degree=degree, order=order, amplitude_rad=2.0 * math.pi * norm * waves, radius_um=0.5 * aperture_um
+            )
+        )
+    profile = PhaseProfile(
+        (LensPhase(wavelength_um=WAVELENGTH_UM, image_distance_um=FOCAL_UM, object_distance_um=math.inf), *added)
+    )
+    imaging = Imaging(
+        wavelength_um=WAVELENGTH_UM,
+        focal_length_mm=1e-3 * FOCAL_UM,
+        split_angle_deg=0.0,
+        sensor_distance_um=FOCAL_UM,
+        pixel_um=0.4,
+        aperture_um=aperture_um,
+    )
     return aberrations(apodised(ideal_field(profile, lattice, device), transmission), imaging, math.inf)
 
 
@@ -110,9 +126,18 @@ def test_defocus_of_an_object_nearer_than_the_focus_is_the_sphere_that_it_sends(
 
 
 def aberrations_of_near_object(depth_m: float) -> AberrationFigures:
-    lattice, device = Lattice((200, 200), (300, 300), 1.0), Device(60.0, 1e-3 * FOCAL_UM)
-    profile = PhaseProfile((LensPhase(WAVELENGTH_UM, FOCAL_UM, math.inf),))
-    imaging = Imaging(WAVELENGTH_UM, 1e-3 * FOCAL_UM, 0.0, FOCAL_UM, 0.4, 60.0)
+    lattice, device = Lattice((200, 200), (300, 300), 1.0), Device(aperture_um=60.0, focal_length_mm=1e-3 * FOCAL_UM)
+    profile = PhaseProfile(
+        (LensPhase(wavelength_um=WAVELENGTH_UM, image_distance_um=FOCAL_UM, object_distance_um=math.inf),)
+    )
+    imaging = Imaging(
+        wavelength_um=WAVELENGTH_UM,
+        focal_length_mm=1e-3 * FOCAL_UM,
+        split_angle_deg=0.0,
+        sensor_distance_um=FOCAL_UM,
+        pixel_um=0.4,
+        aperture_um=60.0,
+    )
     return aberrations(ideal_field(profile, lattice, device), imaging, depth_m)
 
 

@@ -25,12 +25,22 @@ WAVELENGTH_UM = 0.532
 def _figures(sine: float, *, aperture_um: float = 60.0, aberration_rad: float = 0.0) -> FocusFigures:
     focal_um = 0.5 * aperture_um / math.tan(math.asin(sine))
     count = 2 * math.ceil(0.5e3 * aperture_um / 200)
-    lattice, device = Lattice((200, 200), (count, count), 1.0), Device(aperture_um, 1e-3 * focal_um)
-    terms = (
-        LensPhase(WAVELENGTH_UM, focal_um, math.inf),
-        ZernikePhase(2, 2, aberration_rad, 0.5 * aperture_um),
+    lattice, device = (
+        Lattice((200, 200), (count, count), 1.0),
+        Device(aperture_um=aperture_um, focal_length_mm=1e-3 * focal_um),
     )
-    imaging = Imaging(WAVELENGTH_UM, 1e-3 * focal_um, 0.0, focal_um, 0.4, aperture_um)
+    terms = (
+        LensPhase(wavelength_um=WAVELENGTH_UM, image_distance_um=focal_um, object_distance_um=math.inf),
+        ZernikePhase(degree=2, order=2, amplitude_rad=aberration_rad, radius_um=0.5 * aperture_um),
+    )
+    imaging = Imaging(
+        wavelength_um=WAVELENGTH_UM,
+        focal_length_mm=1e-3 * focal_um,
+        split_angle_deg=0.0,
+        sensor_distance_um=focal_um,
+        pixel_um=0.4,
+        aperture_um=aperture_um,
+    )
     perfect = ideal_field(PerfectLens(imaging, math.inf), lattice, device)
     return focus(ideal_field(PhaseProfile(terms), lattice, device), perfect, imaging, math.inf)
 

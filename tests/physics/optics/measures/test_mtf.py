@@ -20,7 +20,7 @@ from tests import optics_lens as lens
 from tests.conjugate_pair import helix_psf
 
 OPTICS = lens.imaging(split_angle_deg=0.0, sensor_distance_um=450.0)
-DEVICE = Device(OPTICS.aperture_um, OPTICS.focal_length_mm)
+DEVICE = Device(aperture_um=OPTICS.aperture_um, focal_length_mm=OPTICS.focal_length_mm)
 FOCUS_M = 1e-6 / (1.0 / 300.0 - 1.0 / 450.0)
 CUT_OFF = OPTICS.aperture_um / (OPTICS.wavelength_um * OPTICS.sensor_distance_um)
 
@@ -87,7 +87,9 @@ def test_a_flat_lens_of_high_aperture_has_the_mtf_of_its_diffraction_integral() 
     transform = np.array([np.trapezoid(j0(2.0 * np.pi * f * radius) * image * radius, radius) for f in frequency])
     # Parseval: the integral of (1 / (1 - s^2))^2 s over the pupil.
     whole = 0.5 * (1.0 / (1.0 - sine**2) - 1.0) / (2.0 * np.pi) ** 2
-    found = lens_modulation(optics, Device(100.0, 1.0), math.inf, frequency / wavelength_um, math.inf)
+    found = lens_modulation(
+        optics, Device(aperture_um=100.0, focal_length_mm=1.0), math.inf, frequency / wavelength_um, math.inf
+    )
     # The rim is cut along samples, 1/192 of the diameter, where the pupil is 1.56 times that on the axis.
     assert np.abs(found - transform / whole)[1:].max() < 5e-3
     assert found[-1] == 0.0

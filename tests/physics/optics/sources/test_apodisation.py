@@ -23,7 +23,14 @@ from tests import optics_lens as lens
 from tests.main_job import ROOT
 
 #: A slow lens without a split: paraxial to 2e-4.
-SLOW = Imaging(0.8, 2.5, 0.0, 2500.0, 4.0, 100.0)
+SLOW = Imaging(
+    wavelength_um=0.8,
+    focal_length_mm=2.5,
+    split_angle_deg=0.0,
+    sensor_distance_um=2500.0,
+    pixel_um=4.0,
+    aperture_um=100.0,
+)
 FOCUS_UM = 2500.0
 
 

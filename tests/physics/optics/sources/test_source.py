@@ -19,7 +19,9 @@ WINDOW_PX = 20
 @pytest.fixture(scope="module")
 def hexagonal() -> IdealField:
     """Period 350 nm, rows 303 nm apart."""
-    device = Device(OPTICS.aperture_um, OPTICS.focal_length_mm, OPTICS.aperture_shape)
+    device = Device(
+        aperture_um=OPTICS.aperture_um, focal_length_mm=OPTICS.focal_length_mm, aperture_shape=OPTICS.aperture_shape
+    )
     profile = PhaseProfile((lens.eq_3_and_4(OPTICS),))  # type: ignore[arg-type]
     return ideal_field(profile, Lattice((350, 606), (133, 229), 0.5, hexagonal=True), device)
 

@@ -68,6 +68,9 @@ def test_bounds_fall_with_light_and_grow_with_noise() -> None:
 
 def test_pixels_without_light_and_noise_do_no_harm() -> None:
     """A clear aperture of Nyquist samples has exact zeros; without any noise they are 0 / 0."""
-    quiet = {"source": PointSource(100.0, 0.0, 0.0), "texture": Texture(read_noise_e=0.0)}
+    quiet = {
+        "source": PointSource(electrons=100.0, background_e=0.0, read_noise_e=0.0),
+        "texture": Texture(read_noise_e=0.0),
+    }
     bounds = compare_masks(reference_masks(PUPIL, 4, 0.5), PUPIL, DEPTH_M, **SETTING, **quiet)  # type: ignore[arg-type]
     assert not np.isnan(bounds.point_m).any()

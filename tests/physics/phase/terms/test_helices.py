@@ -12,7 +12,7 @@ COARSE = Pupil(64)
 
 def test_a_double_helix_has_two_equal_lobes_that_turn() -> None:
     plane = FocalPlane(COARSE, 14.0)
-    field = pupil_field(DoubleHelixPhase(1.0, 0.35, 5), COARSE, 1.0)
+    field = pupil_field(DoubleHelixPhase(radius_um=1.0, waist=0.35, modes=5), COARSE, 1.0)
     psf = plane.psf(field, np.linspace(-7.0, 7.0, 15))
     np.testing.assert_allclose(psf, psf[:, ::-1, ::-1], atol=1e-12)
     v = plane.axis

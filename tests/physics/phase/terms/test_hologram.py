@@ -13,7 +13,7 @@ from metafab.phase.terms.hologram import Hologram
 from metafab.spec.new import sample_picture
 
 WAVELENGTH_UM, DISTANCE_UM, PITCH_UM, SITES = 0.8, 500.0, 0.5, 120
-PLANE = ImagePlane(PITCH_UM, WAVELENGTH_UM, DISTANCE_UM)
+PLANE = ImagePlane(pitch_um=PITCH_UM, wavelength_um=WAVELENGTH_UM, distance_um=DISTANCE_UM)
 
 
 def _hologram(picture: FloatArray, width_um: float, iterations: int = 30, sites: int = SITES) -> Hologram:
@@ -34,7 +34,9 @@ def test_one_bright_spot_is_a_grating_towards_it(row: int, column: int) -> None:
     angle_deg = math.degrees(math.asin(math.hypot(x_um, y_um) / DISTANCE_UM))
     azimuth_deg = math.degrees(math.atan2(y_um, x_um))
     axis_um = PITCH_UM * (np.arange(SITES) - 0.5 * (SITES - 1))
-    grating = GratingPhase(WAVELENGTH_UM, angle_deg, azimuth_deg)(axis_um, axis_um, "x")
+    grating = GratingPhase(wavelength_um=WAVELENGTH_UM, angle_deg=angle_deg, azimuth_deg=azimuth_deg)(
+        axis_um, axis_um, "x"
+    )
     likeness = np.abs(np.mean(hologram.field * np.exp(-1j * grating)))
     assert likeness > 0.999
 

@@ -42,7 +42,7 @@ def test_sums_over_sizes_are_the_mean_of_all_sites() -> None:
         return target_rad[:, here[0][:, None], here[1]]
 
     design = load_design(SMALL)
-    object.__setattr__(design, "device", Device(42.0, 1.0, "square"))
+    object.__setattr__(design, "device", Device(aperture_um=42.0, focal_length_mm=1.0, aperture_shape="square"))
     sums = SizeSums.of(PillarMap.from_array(lattice, sizes, index, 50), profile, design)  # type: ignore[arg-type]
     table = rng.normal(size=(106, 106, 2)) + 1j * rng.normal(size=(106, 106, 2))
     lens = PrintedLens.of(sums, Sizes(table), 2.0, 2.0)

@@ -26,7 +26,14 @@ def test_the_papers_sensor_plane_and_image_points() -> None:
 
 
 def test_without_a_split_the_image_is_that_of_a_pinhole() -> None:
-    imaging = Imaging(0.8, 1.0, 0.0, 1500.0, 2.4, 200.0)
+    imaging = Imaging(
+        wavelength_um=0.8,
+        focal_length_mm=1.0,
+        split_angle_deg=0.0,
+        sensor_distance_um=1500.0,
+        pixel_um=2.4,
+        aperture_um=200.0,
+    )
     for polarisation in (0, 1):
         assert imaging.image_point_um(polarisation, (0.1, -0.2)) == pytest.approx((-150.0, 300.0))
 
@@ -34,14 +41,28 @@ def test_without_a_split_the_image_is_that_of_a_pinhole() -> None:
 @given(st.floats(-0.2, 0.2), st.floats(-0.2, 0.2))
 def test_the_two_images_are_mirrored_in_opposite_directions(t_x: float, t_y: float) -> None:
     """Eq. 4 is Eq. 3 at -x: y's image of (t_x, t_y) is the mirror image in x of x's image of (-t_x, t_y)."""
-    imaging = Imaging(0.8, 1.0, 8.0, 1485.0, 2.4, 200.0)
+    imaging = Imaging(
+        wavelength_um=0.8,
+        focal_length_mm=1.0,
+        split_angle_deg=8.0,
+        sensor_distance_um=1485.0,
+        pixel_um=2.4,
+        aperture_um=200.0,
+    )
     x, y = imaging.image_point_um(0, (-t_x, t_y))
     assert imaging.image_point_um(1, (t_x, t_y)) == pytest.approx((-x, y), abs=1e-9)
 
 
 def test_light_that_cannot_leave_is_refused() -> None:
     with pytest.raises(InputError, match="tangent"):
-        Imaging(0.8, 1.0, 30.0, 1485.0, 2.4, 200.0).image_point_um(0, (1.0, 0.0))
+        Imaging(
+            wavelength_um=0.8,
+            focal_length_mm=1.0,
+            split_angle_deg=30.0,
+            sensor_distance_um=1485.0,
+            pixel_um=2.4,
+            aperture_um=200.0,
+        ).image_point_um(0, (1.0, 0.0))
 
 
 def test_a_focus_inside_the_focal_length_is_refused(small_design: Design) -> None:
@@ -51,7 +72,14 @@ def test_a_focus_inside_the_focal_length_is_refused(small_design: Design) -> Non
 
 
 def test_depth_nodes_are_uniform_in_vergence_and_end_where_asked() -> None:
-    imaging = Imaging(0.8, 20.0, 8.0, 21220.0, 3.45, 2000.0)
+    imaging = Imaging(
+        wavelength_um=0.8,
+        focal_length_mm=20.0,
+        split_angle_deg=8.0,
+        sensor_distance_um=21220.0,
+        pixel_um=3.45,
+        aperture_um=2000.0,
+    )
     nodes = depth_nodes(imaging, 0.25, 0.60, 1e-3)
     assert nodes[0] == 0.25 and nodes[-1] == 0.60
     assert np.ptp(np.diff(1.0 / nodes)) < 1e-12
@@ -61,14 +89,37 @@ def test_depth_nodes_are_uniform_in_vergence_and_end_where_asked() -> None:
 
 
 def test_depth_nodes_reach_infinity() -> None:
-    nodes = depth_nodes(Imaging(0.8, 20.0, 8.0, 21220.0, 3.45, 2000.0), 1.0, math.inf, 1e-3)
+    nodes = depth_nodes(
+        Imaging(
+            wavelength_um=0.8,
+            focal_length_mm=20.0,
+            split_angle_deg=8.0,
+            sensor_distance_um=21220.0,
+            pixel_um=3.45,
+            aperture_um=2000.0,
+        ),
+        1.0,
+        math.inf,
+        1e-3,
+    )
     assert math.isinf(nodes[-1]) and np.all(np.diff(nodes[:-1]) > 0.0)
 
 
 @pytest.mark.parametrize("bounds", [(0.3, 0.2), (0.0, 1.0), (math.nan, 1.0)])
 def test_a_depth_range_must_be_one(bounds: tuple[float, float]) -> None:
     with pytest.raises(InputError, match="depth"):
-        depth_nodes(Imaging(0.8, 20.0, 8.0, 21220.0, 3.45, 2000.0), *bounds, 1e-3)
+        depth_nodes(
+            Imaging(
+                wavelength_um=0.8,
+                focal_length_mm=20.0,
+                split_angle_deg=8.0,
+                sensor_distance_um=21220.0,
+                pixel_um=3.45,
+                aperture_um=2000.0,
+            ),
+            *bounds,
+            1e-3,
+        )
 
 
 def test_field_tangents_span_the_images_rows_and_columns(small_design: Design) -> None:

@@ -9,7 +9,14 @@ from metafab.core.conventions import FloatArray
 from metafab.optics import Imaging, relative_l2
 from metafab.optics.propagation.band import at_wavelength, band_irradiance, padded_px
 
-LENS = Imaging(0.8, 20.0, 8.0, 21220.0, 3.45, 2000.0)
+LENS = Imaging(
+    wavelength_um=0.8,
+    focal_length_mm=20.0,
+    split_angle_deg=8.0,
+    sensor_distance_um=21220.0,
+    pixel_um=3.45,
+    aperture_um=2000.0,
+)
 WIDTH_NM, WINDOW_PX = 10.0, 40
 
 
@@ -70,5 +77,12 @@ def test_the_padded_window_holds_what_a_band_shifts() -> None:
     theta = np.radians(8.0)
     moved_px = 21220.0 * np.sin(theta) / np.cos(theta) ** 3 / 80.0 / 3.45
     assert 64 + moved_px < padded_px(LENS, (0.0, 0.0), WIDTH_NM, 64) < 64 + moved_px + 40
-    straight = Imaging(0.8, 20.0, 0.0, 21220.0, 3.45, 2000.0)
+    straight = Imaging(
+        wavelength_um=0.8,
+        focal_length_mm=20.0,
+        split_angle_deg=0.0,
+        sensor_distance_um=21220.0,
+        pixel_um=3.45,
+        aperture_um=2000.0,
+    )
     assert padded_px(straight, (0.0, 0.0), WIDTH_NM, 64) < padded_px(LENS, (0.0, 0.0), WIDTH_NM, 64)

@@ -58,7 +58,14 @@ def test_high_numerical_aperture_keeps_the_stated_error() -> None:
     from benchmarks.optics.direct_sum import direct_irradiance
     from metafab.optics import psf
 
-    optics = Imaging(0.8, 0.0225, 0.0, 22.5, 0.2, 60.0)
+    optics = Imaging(
+        wavelength_um=0.8,
+        focal_length_mm=0.0225,
+        split_angle_deg=0.0,
+        sensor_distance_um=22.5,
+        pixel_um=0.2,
+        aperture_um=60.0,
+    )
     f = 22.5
     source = lens.ideal(optics, lambda x, y, p: -optics.wavenumber * (np.hypot(np.hypot(x, y[:, None]), f) - f))
     result = psf(source, optics, [2e-3], PsfNumerics(window_px=24, target_error=1e-3, vectorial=False))
@@ -73,7 +80,17 @@ def test_the_dark_core_of_a_vortex_keeps_the_stated_error(pixel_um: float, windo
     from benchmarks.optics.direct_sum import direct_irradiance
     from metafab.optics import psf
 
-    optics, f = Imaging(0.8, 0.3, 0.0, 300.0, pixel_um, 60.0), 300.0
+    optics, f = (
+        Imaging(
+            wavelength_um=0.8,
+            focal_length_mm=0.3,
+            split_angle_deg=0.0,
+            sensor_distance_um=300.0,
+            pixel_um=pixel_um,
+            aperture_um=60.0,
+        ),
+        300.0,
+    )
     source = lens.ideal(
         optics,
         lambda x, y, p: np.arctan2(y[:, None], x) - optics.wavenumber * (np.hypot(np.hypot(x, y[:, None]), f) - f),

@@ -99,7 +99,7 @@ def test_a_sum_of_waves_has_the_phase_of_the_written_sum() -> None:
 def test_a_double_helix_is_its_gauss_laguerre_modes_and_the_same_for_both_polarisations_up_to_pi() -> None:
     from scipy.special import eval_genlaguerre
 
-    term = DoubleHelixPhase(SMALL_UM, 0.35, 4)
+    term = DoubleHelixPhase(radius_um=SMALL_UM, waist=0.35, modes=4)
     x, y = X_UM[None, :] / 35.0, Y_UM[:, None] / 35.0
     rho2, phi = x**2 + y**2, np.arctan2(y, x)
     total = np.zeros(rho2.shape, dtype=complex)

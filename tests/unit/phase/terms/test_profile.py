@@ -36,17 +36,17 @@ WAVES = WaveSumPhase(
     np.array([[1.0, 2.0], [-3.0, 0.5], [0.2, -1.5]]),
 )
 TERMS: list[Term] = [
-    LensPhase(0.8, 1000.0),
-    LensPhase(0.8, 1000.0, 3000.0),
-    SplitLensPhase(0.8, 1000.0, 8.0),
-    SplitLensPhase(0.8, 1000.0, 8.0, 3000.0),
-    GratingPhase(0.8, 5.0, 30.0),
-    AxiconPhase(0.8, 3.0),
-    SpiralZonesPhase(4, 0.5, RADIUS_UM),
+    LensPhase(wavelength_um=0.8, image_distance_um=1000.0),
+    LensPhase(wavelength_um=0.8, image_distance_um=1000.0, object_distance_um=3000.0),
+    SplitLensPhase(wavelength_um=0.8, image_distance_um=1000.0, angle_deg=8.0),
+    SplitLensPhase(wavelength_um=0.8, image_distance_um=1000.0, angle_deg=8.0, object_distance_um=3000.0),
+    GratingPhase(wavelength_um=0.8, angle_deg=5.0, azimuth_deg=30.0),
+    AxiconPhase(wavelength_um=0.8, angle_deg=3.0),
+    SpiralZonesPhase(zones=4, exponent=0.5, radius_um=RADIUS_UM),
     WAVES,
-    VortexPhase(-3),
-    DoubleHelixPhase(RADIUS_UM, 0.35, 5),
-    ZernikePhase(4, -2, 1.5, RADIUS_UM),
+    VortexPhase(charge=-3),
+    DoubleHelixPhase(radius_um=RADIUS_UM, waist=0.35, modes=5),
+    ZernikePhase(degree=4, order=-2, amplitude_rad=1.5, radius_um=RADIUS_UM),
     SampledPhase(np.exp(1j * np.arange(50.0).reshape(2, 5, 5)), 40.0),
 ]
 
@@ -75,15 +75,15 @@ def test_a_tile_is_a_cut_of_the_whole(term: Term) -> None:
 
 def test_a_term_is_zero_for_the_polarisation_that_it_does_not_act_on() -> None:
     for term in (
-        LensPhase(0.8, 1000.0, polarisation="x"),
-        SplitLensPhase(0.8, 1000.0, 8.0, polarisation="x"),
-        GratingPhase(0.8, 5.0, polarisation="x"),
-        AxiconPhase(0.8, 3.0, polarisation="x"),
-        SpiralZonesPhase(4, 0.5, RADIUS_UM, polarisation="x"),
+        LensPhase(wavelength_um=0.8, image_distance_um=1000.0, polarisation="x"),
+        SplitLensPhase(wavelength_um=0.8, image_distance_um=1000.0, angle_deg=8.0, polarisation="x"),
+        GratingPhase(wavelength_um=0.8, angle_deg=5.0, polarisation="x"),
+        AxiconPhase(wavelength_um=0.8, angle_deg=3.0, polarisation="x"),
+        SpiralZonesPhase(zones=4, exponent=0.5, radius_um=RADIUS_UM, polarisation="x"),
         WaveSumPhase(RADIUS_UM, WAVES.amplitude, WAVES.defocus_rad, WAVES.tilt_rad, polarisation="x"),
-        VortexPhase(2, polarisation="x"),
-        DoubleHelixPhase(RADIUS_UM, 0.35, 5, polarisation="x"),
-        ZernikePhase(3, 1, 1.0, RADIUS_UM, polarisation="x"),
+        VortexPhase(charge=2, polarisation="x"),
+        DoubleHelixPhase(radius_um=RADIUS_UM, waist=0.35, modes=5, polarisation="x"),
+        ZernikePhase(degree=3, order=1, amplitude_rad=1.0, radius_um=RADIUS_UM, polarisation="x"),
         SampledPhase(np.exp(1j * np.arange(50.0).reshape(2, 5, 5)), 40.0, polarisation="x"),
     ):
         assert not term(X_UM, Y_UM, "y").any()
@@ -94,13 +94,15 @@ def test_a_term_is_zero_for_the_polarisation_that_it_does_not_act_on() -> None:
 def test_helices_of_the_two_polarisations_are_point_mirrors(x_um: float, y_um: float) -> None:
     x, y = np.array([x_um]), np.array([y_um])
     mirrored = SampledPhase(np.exp(1j * np.arange(49.0).reshape(1, 7, 7)), 30.0)
-    for term in (SpiralZonesPhase(5, 0.5, RADIUS_UM), WAVES, mirrored):
+    for term in (SpiralZonesPhase(zones=5, exponent=0.5, radius_um=RADIUS_UM), WAVES, mirrored):
         assert term(x, y, "y") == term(-x, -y, "x")
 
 
 def test_a_profile_adds_its_terms() -> None:
-    profile = PhaseProfile((VortexPhase(2), GratingPhase(0.8, 3.0, polarisation="y")))
+    profile = PhaseProfile((VortexPhase(charge=2), GratingPhase(wavelength_um=0.8, angle_deg=3.0, polarisation="y")))
     phase = profile(X_UM, Y_UM)
     spiral = 2.0 * np.arctan2(Y_UM[:, None], X_UM[None, :])
     np.testing.assert_array_equal(phase[0], spiral)
-    np.testing.assert_allclose(phase[1] - spiral, GratingPhase(0.8, 3.0)(X_UM, Y_UM, "y"), atol=1e-12)
+    np.testing.assert_allclose(
+        phase[1] - spiral, GratingPhase(wavelength_um=0.8, angle_deg=3.0)(X_UM, Y_UM, "y"), atol=1e-12
+    )

@@ -27,7 +27,7 @@ def test_zernike_polynomials_are_those_of_the_tables() -> None:
         (4, 0): 6 * u2**2 - 6 * u2 + 1,
         (4, 2): (4 * u2 - 3) * (x**2 - y**2),
     }.items():
-        phase = ZernikePhase(degree, order, 0.7, RADIUS_UM)(X_UM, Y_UM, "x")
+        phase = ZernikePhase(degree=degree, order=order, amplitude_rad=0.7, radius_um=RADIUS_UM)(X_UM, Y_UM, "x")
         np.testing.assert_allclose(phase, 0.7 * expected, atol=1e-13)
 
 
@@ -54,7 +54,7 @@ def test_noll_numbers_are_his_table_and_orthonormal() -> None:
     maps = []
     for number in range(1, 16):
         n, m, norm = zernike_number(number, "noll")
-        maps.append(norm * ZernikePhase(n, m, 1.0, 1.0)(axis, axis, "x")[inside])
+        maps.append(norm * ZernikePhase(degree=n, order=m, amplitude_rad=1.0, radius_um=1.0)(axis, axis, "x")[inside])
     gram = np.array(maps) @ np.array(maps).T / inside.sum()
     # The rim is cut along samples of 1/400.
     assert np.abs(gram - np.eye(15)).max() < 0.01
@@ -86,8 +86,10 @@ def test_a_radial_surface_is_a_lens_of_the_focal_length_of_its_first_coefficient
     wavelength_um, focal_um, radius_um = 0.532, 5000.0, 50.0
     axis = np.linspace(-radius_um, radius_um, 11)
     expected = -np.pi / (wavelength_um * focal_um) * (axis[None, :] ** 2 + axis[:, None] ** 2)
-    binary = RadialPhase((-np.pi * radius_um**2 / (wavelength_um * focal_um),), radius_um)
-    path = RadialPhase((-2e3 * np.pi / wavelength_um * 1e3 / (2.0 * focal_um),), 1e3)
+    binary = RadialPhase(coefficients_rad=(-np.pi * radius_um**2 / (wavelength_um * focal_um),), radius_um=radius_um)
+    path = RadialPhase(coefficients_rad=(-2e3 * np.pi / wavelength_um * 1e3 / (2.0 * focal_um),), radius_um=1e3)
     for term in (binary, path):
         assert term(axis, axis, "y") == pytest.approx(expected, abs=1e-9)
-    assert RadialPhase((0.0, 2.0, 3.0), 10.0)(np.array([10.0]), np.array([0.0]), "x")[0, 0] == pytest.approx(5.0)
+    assert RadialPhase(coefficients_rad=(0.0, 2.0, 3.0), radius_um=10.0)(np.array([10.0]), np.array([0.0]), "x")[
+        0, 0
+    ] == pytest.approx(5.0)
