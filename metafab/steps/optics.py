@@ -7,7 +7,7 @@ that holds several, from 1. ``printed`` says which pillars ``[process]`` makes; 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 UNSKIPPED_SHARE = 0.1
 #: The pillars that were read last, shared by the steps of a run.
 _READ: Latest[PillarMap] = Latest()
+#: Their field among neighbours, solved once for all steps of a run.
+_AMONG: Latest[NeighbourField] = Latest()
 
 #: Margin of the decoder's calibration beyond the scene, as a share of the scene's range of vergence.
 DEPTH_MARGIN = 0.08
@@ -218,7 +220,7 @@ def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) 
     from metafab import optics
 
     if path.is_file():
-        key = (file_mark(path), fingerprint(job.design), copy, angles)
+        key = _pillars_key(job, path, copy, angles)
         pillars = _READ.of(key, lambda: _read_pillars(job, path, copy, angles))
     else:
         pillars = _read_pillars(job, path, copy, angles)
@@ -238,7 +240,15 @@ def written_light(job: Job, path: Path, copy: int = 1) -> WrittenField | Neighbo
     pays = library.neighbours is not None and library.neighbours.pays
     if asked is False or (asked is None and not pays):
         return lone
-    return optics.neighbour_field(lone.pillars, library, job.work.workers)
+    if job.nominal is not None:  # a library evaluated at another wavelength or angle, which no file holds
+        return optics.neighbour_field(lone.pillars, library, job.work.workers)
+    key = _pillars_key(job, path, copy, None), file_mark(library_path(job))
+    return _AMONG.of(key, lambda: optics.neighbour_field(lone.pillars, library, job.work.workers))
+
+
+def _pillars_key(job: Job, path: Path, copy: int, angles: int | None) -> Hashable:
+    """Key of the pillars of a written file: file, design, number of the lens, and angles of turned pillars."""
+    return file_mark(path), fingerprint(job.design), copy, angles
 
 
 def _read_pillars(job: Job, path: Path, copy: int, angles: int | None) -> PillarMap:

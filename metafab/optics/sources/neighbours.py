@@ -1,16 +1,24 @@
-"""Field behind the pillars of a mask, each among its own neighbours."""
+"""Field behind the pillars of a mask, each among its own neighbours.
+
+Solving takes some 4 us a pillar, and PSF, focus, aberrations and chain of losses each pass over all pillars. The first
+complete pass therefore keeps the amplitudes in a scratch file, and later ones read them.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import in_order, open_threads
+from metafab.core.storage.scratch import release, scratch
 from metafab.layout.pillars import Lattice, PillarMap, PillarTile, SizeIndexArray
 from metafab.library.library import Library
 from metafab.library.neighbours import require_neighbours
@@ -20,6 +28,19 @@ from metafab.optics.sources.source import FieldTile, WrittenField, written_field
 
 #: Sites of a tile along each side. Its neighbours on all sides are solved with it: 48 more sites a side cost a sixth.
 _TILE_SITES = 512
+#: Most bytes of amplitudes that are kept, those of a lens of 4 mm at the paper's period. Beyond, every pass solves.
+_MOST_KEPT_BYTES = 1 << 31
+#: Largest kept amplitudes that stay in memory, bytes.
+_IN_MEMORY_BYTES = 1 << 26
+
+
+@dataclass
+class _Kept:
+    """Amplitudes of the first complete pass over the tiles."""
+
+    #: Single precision, shape (2, n_y, n_x), in a file if large; None before that pass.
+    amplitudes: NDArray[np.complex64] | None = None
+    places: list[tuple[int, int]] = field(default_factory=list)  #: (row, column) of the tiles with pillars.
 
 
 @dataclass(frozen=True)
@@ -30,6 +51,7 @@ class NeighbourField:
     tables: NeighbourTables  #: Chains of coupled modes at the sizes of the mask.
     power_factor: tuple[float, float]  #: sqrt(n_out / n_in) for x and y polarisation.
     workers: int | None = None  #: Threads; None for one per core.
+    _kept: _Kept = field(default_factory=_Kept, init=False, repr=False, compare=False)
 
     @property
     def lattice(self) -> Lattice:
@@ -47,9 +69,38 @@ class NeighbourField:
         return list(range(0, self.lattice.shape[1], _TILE_SITES))
 
     def tiles(self) -> Iterator[FieldTile]:
-        """Return the tiles with pillars; threads solve them, and the amplitudes do not depend on their number."""
+        """Return the tiles with pillars; threads solve them once, and the amplitudes do not depend on their number."""
+        if self._kept.amplitudes is not None:
+            yield from self._kept_tiles(self._kept.amplitudes)
+            return
+        amplitudes = self._scratch()
+        places: list[tuple[int, int]] = []
         with open_threads(self.workers) as threads:
-            yield from in_order(threads, self._tile, self._windows(), ahead=4)
+            for tile in in_order(threads, self._tile, self._windows(), ahead=4):
+                if amplitudes is not None:
+                    amplitudes[_sites(tile.row, tile.column)] = tile.amplitudes
+                    if places and places[-1][0] != tile.row:
+                        release(amplitudes)
+                    places.append((tile.row, tile.column))
+                yield tile
+        self._kept.amplitudes, self._kept.places = amplitudes, places
+
+    def _scratch(self) -> NDArray[np.complex64] | None:
+        """Array for the amplitudes of all sites; None if they are too many, or the disk is too full for them."""
+        shape = (2, *self.lattice.shape)
+        if math.prod(shape) * np.dtype(np.complex64).itemsize > _MOST_KEPT_BYTES:
+            return None
+        with suppress(OSError):
+            return scratch(shape, np.complex64, _IN_MEMORY_BYTES)
+        return None
+
+    def _kept_tiles(self, amplitudes: NDArray[np.complex64]) -> Iterator[FieldTile]:
+        last = 0
+        for row, column in self._kept.places:
+            if row != last:
+                release(amplitudes)
+                last = row
+            yield FieldTile(row, column, amplitudes=amplitudes[_sites(row, column)].astype(np.complex128))
 
     def _windows(self) -> Iterator[tuple[int, int, SizeIndexArray]]:
         """(row, column) of each tile with pillars, and its size indices with ``HALO_SITES`` neighbours a side."""
@@ -70,7 +121,8 @@ class NeighbourField:
             corrections = self.tables.corrections(size_index, polarisation)
             amplitudes[polarisation] = self.lone.table[inner, polarisation]
             amplitudes[polarisation] += self.power_factor[polarisation] * corrections
-        return FieldTile(row, column, amplitudes=_passive(amplitudes))
+        # Rounded as they are kept, so that every pass gives the same amplitudes.
+        return FieldTile(row, column, amplitudes=_passive(amplitudes).astype(np.complex64).astype(np.complex128))
 
 
 def neighbour_field(pillars: PillarMap, library: Library, workers: int | None = None) -> NeighbourField:
@@ -88,6 +140,11 @@ def neighbour_field(pillars: PillarMap, library: Library, workers: int | None = 
     factor = np.sqrt(n_out.real / n_in.real)
     tables = NeighbourTables.of(neighbours, pillars.size_nm())
     return NeighbourField(written_field(pillars, library), tables, (float(factor[0]), float(factor[1])), workers)
+
+
+def _sites(row: int, column: int) -> tuple[slice, slice, slice]:
+    """Both polarisations of the tile whose first site is (row, column)."""
+    return np.s_[:, row : row + _TILE_SITES, column : column + _TILE_SITES]
 
 
 def _bands(pillars: PillarMap, sites: int, halo: int) -> Iterator[tuple[int, SizeIndexArray]]:

@@ -1,4 +1,4 @@
-"""Steps that read the same mask share its pillars; another file, design or lens is read anew."""
+"""Steps that read the same mask share its pillars and their field; another file, design or lens is read anew."""
 
 from __future__ import annotations
 
@@ -11,13 +11,18 @@ import pytest
 
 from metafab import library, mask
 from metafab.core.errors import InputError
+from metafab.core.figures import LineStatistics
 from metafab.layout import lattice_of
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
+from metafab.library.neighbours.line import LineShape, initial_model
+from metafab.library.neighbours.model import Neighbours, TrainedLine
+from metafab.optics import NeighbourField
 from metafab.spec import Design
+from metafab.spec.design import Optics
 from metafab.steps.job import Job
 from metafab.steps.library import library_path
-from metafab.steps.optics import mask_source, point_spread
+from metafab.steps.optics import mask_source, point_spread, written_light
 
 
 @pytest.fixture
@@ -50,6 +55,20 @@ def test_a_mask_is_read_once_until_something_changes(design: Design, tmp_path: P
     assert changed is not again
     assert changed.size_nm().max() == again.size_nm().max() == 200.0
     assert changed.size_nm()[:, 0].max() == 160.0
+
+
+def test_the_field_among_neighbours_is_shared_until_mask_or_library_change(
+    design: Design, smooth_library: Library, tmp_path: Path
+) -> None:
+    line = TrainedLine(initial_model(LineShape(2, 1, 2), (100.0, 250.0), (100.0, 250.0), 1), LineStatistics())
+    library.save(replace(smooth_library, neighbours=Neighbours((line, line), (line, line))), design.library)
+    job = Job(replace(design, optics=Optics(neighbours=True)), tmp_path)
+    path = _write_mask(design, tmp_path / "run", 300)
+    field = written_light(job, path)
+    assert isinstance(field, NeighbourField)
+    assert written_light(job, path) is field
+    os.utime(design.library, ns=(1, 1))
+    assert written_light(job, path) is not field
 
 
 def test_a_missing_mask_says_so_before_any_library_is_built(small_design: Design, tmp_path: Path) -> None:

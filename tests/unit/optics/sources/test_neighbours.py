@@ -60,6 +60,21 @@ def test_tiles_and_workers_do_not_change_the_field(library: Library, monkeypatch
     assert np.abs(tiled - whole).max() < 1e-4 * np.abs(whole - lone).max()
 
 
+@pytest.mark.parametrize("in_memory_bytes", [1 << 26, 0])
+def test_the_first_pass_keeps_the_field_for_those_that_follow(
+    library: Library, monkeypatch: pytest.MonkeyPatch, in_memory_bytes: int
+) -> None:
+    index = np.random.default_rng(4).integers(0, 41, (30, 70)).astype(np.uint16)
+    index[:, 20:40] = 0  # a tile without pillars
+    monkeypatch.setattr(neighbours, "_TILE_SITES", 20)
+    monkeypatch.setattr(neighbours, "_IN_MEMORY_BYTES", in_memory_bytes)
+    field = neighbour_field(_map(index, 30), library)
+    next(field.tiles())  # a pass that is given up keeps nothing
+    whole = _whole(field)
+    monkeypatch.setattr(neighbours, "_passive", None)  # no tile can be solved any more
+    assert np.array_equal(_whole(field), whole)
+
+
 def test_a_periodic_mask_has_the_field_of_its_period(library: Library) -> None:
     assert library.neighbours is not None
     period = np.random.default_rng(2).integers(1, 41, (3, 4)).astype(np.uint16)
