@@ -41,6 +41,8 @@ CHECKED, QUICK_CHECKED = 1000, 100
 #: Parts that can be run by themselves, and ranges of further blur of the beam at which sizes are corrected (nm).
 PARTS = ("energy", "dose", "shape", "peer")
 BLURS_NM = (0.0, 19.4)
+#: Dose classes of the corrections.
+CLASSES = 64
 #: Field of the peer: pillars a side, pixels a period, pixel (nm), range of the beam (nm), threshold.
 FIELD_PILLARS, PERIOD_PX, PIXEL_NM, RANGE_NM, THRESHOLD = 10, 70, 5.0, 60.0, 0.5
 
@@ -80,7 +82,8 @@ def _correction(pillars: PillarMap, psf: BeamPsf, correction: Correction, design
     table = []
     for blur_nm in BLURS_NM:
         with measured() as cost:
-            found = expose(pillars, psf.blurred(blur_nm), correction=correction)
+            numerics = ExposureNumerics(classes=CLASSES)
+            found = expose(pillars, psf.blurred(blur_nm), correction=correction, numerics=numerics)
         name = f"correction by {correction}, blur {math.hypot(psf.blur_nm, blur_nm):.3g} nm"
         table.append(_row(name, found.figures.cd_error_rms_nm, cost, found))
         if correction == "dose":

@@ -52,7 +52,7 @@ class ExposureNumerics:
 
     #: Dose classes that corrected doses are rounded to; 0 keeps them continuous, "auto" takes as few as change printed
     #: sizes by 0.1 nm at most, at the mean latitude.
-    classes: int | Literal["auto"] = 64
+    classes: int | Literal["auto"] = "auto"
     most_classes: int = MOST_CLASSES  #: Largest number of classes.
     samples: int = 0  #: Number of random pillars whose figures are listed.
     seed: int = 1  #: Seed of the choice of random pillars.

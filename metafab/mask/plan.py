@@ -106,7 +106,7 @@ def _mappings(design: Design, kept_sites: int) -> int:
 
 def _encoded_bytes(writer: MaskWriter, stamps: Stamps, tile: PillarTile) -> int:
     """Bytes of all shapes on the sites of a tile."""
-    return sum(piece.size for part in stamps.of(tile) for piece in writer.encoder(*part).content)
+    return sum(piece.size for cell in writer.encoder(stamps.of(tile)) for piece in cell.content)
 
 
 def announcement(design: Design) -> list[str]:

@@ -161,9 +161,9 @@ class _Encoding:
     sizes: int
 
     def __call__(self, tile: PillarTile) -> tuple[TileCount, list[EncodedTile]]:
-        """Count the tile, and return its encoded stamps, formats alternating."""
-        parts = self.stamps.of(tile) if tile.size_index.any() else ()
-        encoded = [encoder(*part) for part in parts for encoder in self.encoders]
+        """Count the tile, and return its encoded cells, formats alternating."""
+        parts = list(self.stamps.of(tile)) if tile.size_index.any() else []
+        encoded = [cell for cells in zip(*(encoder(parts) for encoder in self.encoders), strict=True) for cell in cells]
         return TileCount.of(tile, self.sizes), encoded
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -29,11 +29,11 @@ class Drawing:
 
 @dataclass(frozen=True)
 class EncodedTile:
-    """The shapes of one stamp on the sites of a tile, in the bytes of a format."""
+    """The shapes of one cell of a tile, in the bytes of a format."""
 
     variant: Variant  #: Bias and dose of the copies of the lens that the shapes belong to.
     cell: TileCell  #: Cell of the shapes.
-    #: Bytes of the elements, shape (n,) each; a flat mask has one array for each copy of the lens.
+    #: Bytes of the elements, shape (n,) each: of each stamp or of all, in a flat mask for each copy of the lens.
     content: tuple[NDArray[np.uint8], ...]
     cells: Mapping[str, bytes] = field(default_factory=dict)  #: Encoded cells to which the elements refer, by name.
 
@@ -44,22 +44,30 @@ class TileEncoder(ABC):
 
     drawing: Drawing  #: The mask.
 
-    def __call__(self, tile: PillarTile, stamp: Stamp) -> EncodedTile:
-        """Encode ``stamp`` on the sites of ``tile``. Safe to call from several threads."""
-        cell = tile_cell(self.drawing.lattice, tile, stamp)
-        if not self.drawing.flat:
-            return EncodedTile(stamp.variant, cell, (self._content(tile, cell, stamp),), self._cells(tile, stamp))
-        copies = (copy for copy in self.drawing.copies if copy.variant == stamp.variant)
-        pieces = (self._content(tile, cell.flattened(copy.x_dbu, copy.y_dbu), stamp) for copy in copies)
-        return EncodedTile(stamp.variant, cell, tuple(pieces))
+    def __call__(self, stamped: Iterable[tuple[PillarTile, Stamp]]) -> list[EncodedTile]:
+        """Encode the stamps of a tile, cell by cell. Safe to call from several threads."""
+        cells: dict[TileCell, list[tuple[PillarTile, Stamp]]] = {}
+        for tile, stamp in stamped:
+            cells.setdefault(tile_cell(self.drawing.lattice, tile, stamp), []).append((tile, stamp))
+        return [self._encoded(cell, parts) for cell, parts in cells.items()]
+
+    def _encoded(self, cell: TileCell, parts: Sequence[tuple[PillarTile, Stamp]]) -> EncodedTile:
+        variant, flat = parts[0][1].variant, self.drawing.flat
+        copies = [copy for copy in self.drawing.copies if flat and copy.variant == variant]
+        places = [cell.flattened(copy.x_dbu, copy.y_dbu) for copy in copies] if flat else [cell]
+        pieces = tuple(piece for place in places for piece in self._content(parts, place))
+        if flat:
+            return EncodedTile(variant, cell, pieces)
+        used = {name: data for part in parts for name, data in self._cells(*part).items()}
+        return EncodedTile(variant, cell, pieces, used)
 
     def _cells(self, tile: PillarTile, stamp: Stamp) -> dict[str, bytes]:
         """Encoded cells to which the elements of a tile refer; by default none."""
         return {}
 
     @abstractmethod
-    def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
-        """Bytes of the elements of a tile."""
+    def _content(self, parts: Sequence[tuple[PillarTile, Stamp]], cell: TileCell) -> Iterable[NDArray[np.uint8]]:
+        """Bytes of the elements of a cell."""
 
 
 class MaskWriter(ABC):

@@ -43,7 +43,7 @@ class Stamp:
     layer: int  #: GDSII or OASIS layer.
     datatype: int  #: GDSII or OASIS datatype.
     variant: Variant = PLAIN  #: Bias and dose of the copies of the lens that the shapes belong to.
-    tag: str = ""  #: Suffix that distinguishes the cells of several stamps of one tile.
+    tag: str = ""  #: Suffix that distinguishes the cells of one tile; stamps with equal suffixes share a cell.
     #: Corners of each size relative to its first corner, shape (n, 2) each; None for rectangles.
     polygons: tuple[NDArray[np.int64], ...] | None = None
     turned: bool = False  #: Whether several polygons share one width and length, at different angles.
@@ -63,8 +63,7 @@ def pillar_stamp(
     the variant; the others follow.
     """
     drawn = size_dbu.astype(np.int64) + variant.bias_dbu
-    tag = f"_D{dose_class:02d}" if dose_class else ""
-    stamp = Stamp(drawn, -(drawn // 2), layer, datatype + dose_class, variant, tag)
+    stamp = Stamp(drawn, -(drawn // 2), layer, datatype + dose_class, variant)
     if outline.is_rectangle:
         return stamp
     polygons = outline.polygons(drawn)

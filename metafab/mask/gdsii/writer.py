@@ -7,6 +7,7 @@ Plain boundaries open several times faster in viewers than one reference per pil
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -44,7 +45,11 @@ class GdsiiEncoder(TileEncoder):
     #: Memory of tiles already written, of any shape; fresh pages from the system cost as much time as the file.
     spare: list[NDArray[np.int32]] = field(default_factory=list)
 
-    def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
+    def _content(self, parts: Sequence[tuple[PillarTile, Stamp]], cell: TileCell) -> Iterable[NDArray[np.uint8]]:
+        return (self._boundaries(tile, cell, stamp) for tile, stamp in parts)
+
+    def _boundaries(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
+        """Boundaries or references of one stamp."""
         if stamp.polygons is not None:
             return self._polygons(tile, cell, stamp)
         if max(stamp.layer, stamp.datatype) >= 2**15:

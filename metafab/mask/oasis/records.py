@@ -11,6 +11,7 @@ the tile. A sample of the sizes is therefore listed in several orders, and the s
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -47,48 +48,54 @@ def deflate(data: bytes) -> bytearray:
     return deflate_compress(data, _DEFLATE_LEVEL)
 
 
-def best_scan(tile: PillarTile, lattice: Lattice, stamp: Stamp, cell: TileCell) -> Scan:
+def best_scan(parts: Sequence[tuple[PillarTile, Stamp]], lattice: Lattice, cell: TileCell) -> Scan:
     """Return the order in which a sample of the sizes, neighbours in the middle of the table, deflates best."""
-    count = len(stamp.size_dbu) - 1
+    count = len(parts[0][1].size_dbu) - 1
     tried = max(1, count // _TRIED_SHARE)
     first = 1 + (count - tried) // 2
-    index = tile.size_index
-    # One comparison of unsigned numbers: indices below ``first`` wrap around to large numbers.
-    sample = PillarTile(tile.row, tile.column, np.where(index - np.uint16(first) < tried, index, np.uint16(0)))
-    if not sample.size_index.any():
+    sample = []
+    for tile, stamp in parts:
+        # One comparison of unsigned numbers: indices below ``first`` wrap around to large numbers.
+        index = np.where(tile.size_index - np.uint16(first) < tried, tile.size_index, np.uint16(0))
+        if index.any():
+            sample.append((PillarTile(tile.row, tile.column, index), stamp))
+    if not sample:
         return SCANS[0]
-    return min(SCANS, key=lambda scan: len(deflate(pillar_records(sample, lattice, stamp, cell, scan))))
+    return min(SCANS, key=lambda scan: len(deflate(pillar_records(sample, lattice, cell, scan))))
 
 
 def pillar_records(
-    tile: PillarTile, lattice: Lattice, stamp: Stamp, cell: TileCell, scan: Scan, *, absolute: bool = False
+    parts: Sequence[tuple[PillarTile, Stamp]], lattice: Lattice, cell: TileCell, scan: Scan, *, absolute: bool = False
 ) -> bytes:
-    """Encode the RECTANGLE (or POLYGON) records of a tile, by size; not yet deflated.
+    """Encode the RECTANGLE (or POLYGON) records of a cell, part by part, by size; not yet deflated.
 
     Args:
-        tile: size indices.
+        parts: size indices on the sites of one tile, and the rectangle or polygon of each size.
         lattice: pitch of the sites.
-        stamp: rectangle or polygon of each size.
         cell: place of the first site.
         scan: order of the places of a size.
         absolute: whether positions are absolute; else each is relative to the record before. Absolute ones are needed
             where other tiles precede in the same cell. No other modal variable is taken from before the first record.
     """
-    row, column, end_of = sorted_by_size(tile.size_index, len(stamp.size_dbu), scan)
-    points, points_end = _point_lists(stamp)
-    # A displacement in a tile takes at most 12 bytes, the head of a record at most 64 and its points.
-    out = np.empty(12 * row.size + 64 * len(stamp.size_dbu) + points.size, dtype=np.uint8)
-    end = _write_records(
-        (row, column, end_of),
-        (stamp.size_dbu, stamp.corner_dbu),
-        (points, points_end),
-        lattice.period_dbu,
-        (cell.first_x_dbu, cell.first_y_dbu),
-        (stamp.layer, stamp.datatype),
-        0 if absolute else 1,
-        out,
-    )
-    return out[:end].tobytes()
+    modal, records = np.array([-1, -1, 0, 0], dtype=np.int64), []
+    for tile, stamp in parts:
+        row, column, end_of = sorted_by_size(tile.size_index, len(stamp.size_dbu), scan)
+        points, points_end = _point_lists(stamp)
+        # A displacement in a tile takes at most 12 bytes, the head of a record at most 64 and its points.
+        out = np.empty(12 * row.size + 64 * len(stamp.size_dbu) + points.size, dtype=np.uint8)
+        end = _write_records(
+            (row, column, end_of),
+            (stamp.size_dbu, stamp.corner_dbu),
+            (points, points_end),
+            lattice.period_dbu,
+            (cell.first_x_dbu, cell.first_y_dbu),
+            (stamp.layer, stamp.datatype),
+            0 if absolute else 1,
+            modal,
+            out,
+        )
+        records.append(out[:end].tobytes())
+    return b"".join(records)
 
 
 def _point_lists(stamp: Stamp) -> tuple[ByteArray, NDArray[np.int64]]:
@@ -119,16 +126,19 @@ def _write_records(
     first_dbu: tuple[int, int],
     layer_datatype: tuple[int, int],
     relative: int,
+    modal: NDArray[np.int64],
     out: ByteArray,
 ) -> int:
-    """Write the records of all sizes to ``out``; return the number of bytes."""
+    """Write the records of all sizes to ``out``; return the number of bytes.
+
+    ``modal``, shape (4,), is updated: width, length, x and y of the record before; -1 for none.
+    """
     row, column, end_of = pillars
     size_dbu, corner_dbu = rectangles
     points, points_end = polygons
     grid = math.gcd(period[0], period[1])
     step_x, step_y = period[0] // grid, period[1] // grid
     end, here = 0, 0
-    modal = np.array([-1, -1, 0, 0], dtype=np.int64)
     for size in range(1, len(size_dbu)):
         behind = end_of[size]
         if behind == here:

@@ -1,12 +1,14 @@
 """OASIS by streaming: one cell per tile, one RECTANGLE per size with all its places as a repetition.
 
-The records of a tile are deflated into one CBLOCK. The file ends with a CRC-32, by which readers detect damage.
+The records of a tile, dose class by dose class, are deflated into one CBLOCK. The file ends with a CRC-32, by which
+readers detect damage.
 """
 
 from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,13 +42,12 @@ END_BYTES = 256
 class OasisEncoder(TileEncoder):
     """Encodes tiles as CBLOCKs."""
 
-    def _content(self, tile: PillarTile, cell: TileCell, stamp: Stamp) -> NDArray[np.uint8]:
-        drawn = (tile, self.drawing.lattice, stamp, cell)
-        flat = self.drawing.flat
+    def _content(self, parts: Sequence[tuple[PillarTile, Stamp]], cell: TileCell) -> Iterable[NDArray[np.uint8]]:
+        drawn, flat = (parts, self.drawing.lattice, cell), self.drawing.flat
         records = pillar_records(*drawn, best_scan(*drawn), absolute=flat)
         packed = deflate(records)
         block = bytes([CBLOCK, 0]) + unsigned(len(records)) + unsigned(len(packed)) + packed
-        return np.frombuffer((b"" if flat else bytes([XYRELATIVE])) + block, dtype=np.uint8)
+        return (np.frombuffer((b"" if flat else bytes([XYRELATIVE])) + block, dtype=np.uint8),)
 
 
 class OasisWriter(MaskWriter):

@@ -61,8 +61,9 @@ class ExposureProcess(Checked):
     with_layers: tuple[Index, ...] | None = None
     #: Whether a correction gives each pillar one of some doses, or changes the drawn sizes, for tools with one dose.
     correction: Literal["dose", "shape"] = "dose"
-    #: Number of doses that a correction may use; "auto" for as few as change printed sizes by 0.1 nm at most.
-    classes: Annotated[int, Field(strict=True, ge=2, le=256)] | Literal["auto"] = 64
+    #: Number of doses that a correction may use; "auto" for as few as change printed sizes by 0.1 nm at most. A file of
+    #: few classes is smaller.
+    classes: Annotated[int, Field(strict=True, ge=2, le=256)] | Literal["auto"] = "auto"
     source: str = "assumption"  #: Reference of the numbers.
 
     def _faults(self) -> Iterator[str]:
