@@ -107,7 +107,7 @@ class ExposureFigures:
     corner_radius_rms_nm: float  #: Rms deviation of the radii from their mean.
     base_over_clearing_dose: float  #: Base dose over the clearing dose of a large pad.
     #: Bound of the error of an energy over the clearing energy: four times the largest difference from a direct sum,
-    #: over all pillars in reach, at six random pillars.
+    #: over all pillars in reach, at six random pillars of the first lens.
     error: float
     rounds: int  #: Rounds of the correction; 0 without one.
     walls: Walls | None = optional()  #: Foot and top of the resist; None without a contrast.
@@ -231,11 +231,13 @@ def expose_lenses(
             drawn, rounds = corrected_shapes(first.pillars, *pattern, work.progress)
             dosed = [replace(dosed[0], process=printing_of(drawn, first.pillars, *pattern))]
         found: dict[Hashable, Exposure] = {}
+        error: float | None = None
         for number, (lens, one) in enumerate(zip(lenses, dosed, strict=True)):
             if (key := (one.surroundings, lens.dose)) in found:
                 continue
             own = numerics if number == 0 else replace(numerics, samples=0, keep_sizes=False)
-            result = _predicted(one.at(lens.dose, dosed), drawn, contrast, own)
+            result = _predicted(one.at(lens.dose, dosed), drawn, contrast, own, error)
+            error = result.figures.error
             figures = replace(result.figures, classes=len(class_dose), rounds=rounds)
             if continuous:
                 sums = continuous[key]
@@ -244,8 +246,10 @@ def expose_lenses(
     return tuple(found[one.surroundings, lens.dose] for lens, one in zip(lenses, dosed, strict=True))
 
 
-def _predicted(lens: LensDoses, drawn: PillarMap, contrast: float | None, numerics: ExposureNumerics) -> Exposure:
-    """Printed sizes of a lens, with its dose in those of its pillars."""
+def _predicted(
+    lens: LensDoses, drawn: PillarMap, contrast: float | None, numerics: ExposureNumerics, error: float | None
+) -> Exposure:
+    """Printed sizes of a lens, with its dose in those of its pillars; the error of energies is checked if not given."""
     process, dose, ratio = lens.process, lens.dose, lens.process.base_over_clearing_dose
     places = _random_pillars(process.resist.size_index, max(numerics.samples, _CORNERS), numerics.seed)
     # Foot and top of the resist print like its middle at more and at less dose.
@@ -253,7 +257,9 @@ def _predicted(lens: LensDoses, drawn: PillarMap, contrast: float | None, numeri
     percent = (*_WINDOW_PERCENT, 100.0 * (factor - 1.0), 100.0 * (1.0 / factor - 1.0))
     found = predict(process, dose, places, window_percent=percent, keep_sizes=numerics.keep_sizes)
     checked, listed, sums = places[:_CHECKED].tolist(), found.listed, found.sums
-    largest = max(float(np.abs(listed[r, c][:3] - ratio * process.resist.direct(dose, r, c)).max()) for r, c in checked)
+    if error is None:
+        direct = [np.abs(listed[r, c][:3] - ratio * process.resist.direct(dose, r, c)).max() for r, c in checked]
+        error = _UNCHECKED * float(max(direct))
     samples = _samples(process, drawn, dose, [((row, column), listed[row, column]) for row, column in places.tolist()])
     radii = np.array([sample.printed_corner_radius_nm for sample in samples])
     radii = radii[np.isfinite(radii)] if np.isfinite(radii).any() else np.full(1, math.nan)
@@ -271,7 +277,7 @@ def _predicted(lens: LensDoses, drawn: PillarMap, contrast: float | None, numeri
         corner_radius_nm=float(radii.mean()),
         corner_radius_rms_nm=float(radii.std()),
         base_over_clearing_dose=ratio,
-        error=_UNCHECKED * largest,
+        error=error,
         rounds=0,
         walls=None if contrast is None else Walls(foot.bias_nm, top.bias_nm, top.unprinted_share),
     )

@@ -60,7 +60,7 @@ class ResistEnergy:
 
     def __init__(self, pillars: PillarMap, psf: BeamPsf, outline: Outline = RECTANGLE) -> None:
         lattice = self._lattice = pillars.lattice
-        self.psf = psf
+        self.psf, self._pillars = psf, pillars
         self.shapes = Shapes.of(pillars, outline)
         self.size_nm = self.shapes.size_nm
         self.size_index = pillars.to_array()
@@ -127,7 +127,8 @@ class ResistEnergy:
             for rectangles, doses in figures.parts(dose, box_nm):
                 energy += _sum_rectangles(rectangles, doses, *gaussians, points)
             for lens in self.beside.lenses:
-                other = ResistEnergy(lens.pillars, self.psf, self.beside.outline)
+                same = lens.pillars is self._pillars
+                other = self if same else ResistEnergy(lens.pillars, self.psf, self.beside.outline)
                 of_sites, factor = lens.shares(dose, self.beside.lens_dose)
                 energy += factor * other._direct(of_sites, points - np.array(lens.at_nm))
         return np.array([energy[0], energy[1:3].mean(), energy[3:].mean()])
