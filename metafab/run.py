@@ -240,10 +240,10 @@ class _State:
         return replace(summary, tolerance=tolerance, error_budget=error_budget(summary), saved=saved)
 
 
-def skipping_all(summary: RunSummary, steps: Sequence[Step] = STEPS) -> RunSummary:
+def skipping_all(summary: RunSummary) -> RunSummary:
     """Summary of the next run if nothing changes."""
     unneeded = {entry.step: entry for entry in summary.skipped if entry.why != UNCHANGED}
-    unchanged = (SkippedStep(step.name, UNCHANGED, summary.seconds.get(step.name)) for step in steps)
+    unchanged = (SkippedStep(step.name, UNCHANGED, summary.seconds.get(step.name)) for step in STEPS)
     return replace(summary, skipped=tuple(unneeded.get(entry.step, entry) for entry in unchanged))
 
 

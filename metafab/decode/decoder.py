@@ -158,13 +158,13 @@ class Decoder:
         optics = self.layer_optics.nbytes if "layer_optics" in vars(self) else 0
         return self.calibration.stack.nbytes + self.filters.nbytes + self.deconvolver.nbytes + optics + maps
 
-    def depth_map(self, frame: RawFrame, *, progress: Progress = silent) -> FloatArray:
+    def depth_map(self, frame: RawFrame) -> FloatArray:
         """Depth of each pixel from the window about it, without segments: shape (n_y, n_x), m; NaN for none."""
         with kept_threads():
             prepared = self.prepare(frame)
             if isinstance(prepared, str):
                 return np.full(self.calibration.grid.shape, np.nan)
-            pixels = textured_pixel_depth(prepared, self.match(prepared, progress))
+            pixels = textured_pixel_depth(prepared, self.match(prepared))
         return full_depth_m(pixels, self.filters.downsampling.step, self.calibration.grid.shape)
 
     def __call__(self, frame: RawFrame, *, progress: Progress = silent) -> Image4D:

@@ -301,10 +301,10 @@ def undersampled_share(design: Design) -> float:
     """Share of the aperture where the target phase is too steep for the lattice of the pillars.
 
     There it turns by more than pi from pillar to pillar, so that a flatter phase, with one turn per pillar less, has
-        the same values and takes the light: the slope lies beyond the first Brillouin zone of the lattice. The larger
-        share of both polarisations counts. The slope of an array is the mean of its steps from sample to sample over a
-        few periods, since the
-    interpolation between them is uneven. Helices and holograms are left out. An unusable array raises InputError.
+    the same values and takes the light: the slope lies beyond the first Brillouin zone of the lattice. The larger share
+    of both polarisations counts. The slope of an array is the mean of its steps from sample to sample over a few
+    periods, since the interpolation between them is uneven. Helices and holograms are left out. An unusable array
+    raises InputError.
     """
     period_um = 1e-3 * np.array(design.unit_cell.cell.period_nm)
     formulas = []

@@ -59,11 +59,6 @@ class Saving:
     error: float | None = optional()  #: Measured error of leaving them out; None where it is not measured.
     error_of: str | None = optional()  #: Quantity of that error; None where nothing is lost.
 
-    @property
-    def share_left_out(self) -> float | None:
-        """Share of the pieces that were not computed, 0 to 1; None for a continuous range."""
-        return None if self.of is None else 1.0 - self.computed / max(self.of, 1)
-
 
 @dataclass(frozen=True)
 class RunSummary:

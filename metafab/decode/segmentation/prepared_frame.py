@@ -103,7 +103,7 @@ class PreparedFrame:
         """Transforms of the downsampled images in which the light about bright pixels fades into an even level.
 
         The matched filters reach farther than the blur: beside a bright outline, their spread outweighs the texture of
-            a dim surface.
+        a dim surface.
 
         Args:
             bright: shape (n_y, n_x), downsampled pixels.

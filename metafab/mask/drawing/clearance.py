@@ -23,6 +23,11 @@ def boxes_of(rectangles: IntArray) -> IntArray:
     return np.concatenate([rectangles[:, :2], rectangles[:, :2] + rectangles[:, 2:]], axis=1)
 
 
+def moved(rectangles: IntArray, x: int, y: int) -> IntArray:
+    """Displace rectangles (x, y, width, height), shape (n, 4)."""
+    return rectangles + np.array([x, y, 0, 0], dtype=np.int64)
+
+
 def require_clear_of_lenses(
     design: Design, key: str, boxes: IntArray, name: str, outlines: Sequence[IntArray] | None = None
 ) -> None:

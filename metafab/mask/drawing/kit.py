@@ -9,7 +9,7 @@ import numpy as np
 
 from metafab.core.errors import InputError
 from metafab.layout.geometry import whole_dbu
-from metafab.mask.drawing.clearance import boxes_of, require_apart, require_clear_of_lenses, require_within_frame
+from metafab.mask.drawing.clearance import boxes_of, moved, require_apart, require_clear_of_lenses, require_within_frame
 from metafab.mask.shapes.hierarchy import IntArray
 from metafab.spec import Design
 from metafab.spec.mask import CdBars, Grating, Kit, Overlay, Vernier
@@ -44,7 +44,7 @@ def kit_structures(design: Design) -> tuple[Structure, ...]:
             unit = _Unit(design.mask.database_unit_nm, key)
             first, second = _draw(item, unit)
             at = [unit.um(place, "at_um") for place in item.at_um]
-            drawn.append(Structure(key, _shifted(first, *at), _shifted(second, *at)))
+            drawn.append(Structure(key, moved(first, *at), moved(second, *at)))
     return tuple(drawn)
 
 
@@ -139,9 +139,9 @@ def _cd_bars(item: CdBars, unit: _Unit) -> IntArray:
         x += width + space
     upright = np.array(bars, dtype=np.int64)
     across = x - space
-    lying = _shifted(upright[:, [1, 0, 3, 2]], 0, length + space)
+    lying = moved(upright[:, [1, 0, 3, 2]], 0, length + space)
     whole = np.concatenate([upright, lying])
-    return _shifted(whole, *(-2 * (side // 4) for side in (max(across, length), length + space + across)))
+    return moved(whole, *(-2 * (side // 4) for side in (max(across, length), length + space + across)))
 
 
 def _grating(item: Grating, unit: _Unit) -> IntArray:
@@ -178,9 +178,9 @@ def _combs(item: Vernier, unit: _Unit) -> tuple[IntArray, IntArray]:
 
     first, second = comb(pitch, above=False), comb(pitch + step, above=True)
     aside = -(item.teeth // 2 + 1) * (pitch + step) - 2 * length
-    turned = [_shifted(one[:, [1, 0, 3, 2]], aside, 0) for one in (first, second)]
+    turned = [moved(one[:, [1, 0, 3, 2]], aside, 0) for one in (first, second)]
     middle = -2 * (aside // 4)
-    both = [_shifted(np.concatenate(pair), middle, 0) for pair in zip((first, second), turned, strict=True)]
+    both = [moved(np.concatenate(pair), middle, 0) for pair in zip((first, second), turned, strict=True)]
     return both[0], both[1]
 
 
@@ -190,7 +190,3 @@ def _frame(side: int, line: int) -> IntArray:
     sides = [(-half, -half, side, line), (-half, half - line, side, line)]
     sides += [(-half, -half + line, line, rest), (half - line, -half + line, line, rest)]
     return np.array(sides, dtype=np.int64)
-
-
-def _shifted(rectangles: IntArray, x: int, y: int) -> IntArray:
-    return rectangles + np.array([x, y, 0, 0], dtype=np.int64)

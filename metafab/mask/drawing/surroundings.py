@@ -10,7 +10,7 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.layout import lattice_of
 from metafab.layout.geometry import aperture_dbu
-from metafab.mask.drawing.clearance import boxes_of
+from metafab.mask.drawing.clearance import boxes_of, moved
 from metafab.mask.drawing.copies import LensCopy, lens_copies
 from metafab.mask.drawing.font import ROWS, text_rectangles, width_squares
 from metafab.mask.drawing.kit import kit_structures, require_clear_kit, windows
@@ -159,7 +159,7 @@ def _copy_labels(design: Design, chip: Chip, copies: Sequence[LensCopy], lens: i
             if not (aside or bottom >= other.y_dbu + lens or bottom + ROWS * square <= other.y_dbu - lens):
                 expected, got = "room above the lens", f"a lens at {other.x_dbu}, {other.y_dbu} database units there"
                 raise InputError.single(design.name, key, expected, got, "move the copies apart")
-        yield _moved(text_rectangles(copy.label, square), left, bottom)
+        yield moved(text_rectangles(copy.label, square), left, bottom)
 
 
 def _text(design: Design, chip: Chip, lenses: _Box, margin: int) -> IntArray:
@@ -185,15 +185,11 @@ def _text(design: Design, chip: Chip, lenses: _Box, margin: int) -> IntArray:
         raise InputError.single(design.name, "mask.chip.label", expected, f"{used * um:g} um", remedy)
     left, right = lenses.left + aside, lenses.right - aside
     bottom = lenses.bottom - margin // 2 - ROWS * square // 2
-    rectangles = [_moved(text_rectangles(label, square), left, bottom)]
+    rectangles = [moved(text_rectangles(label, square), left, bottom)]
     if bar:
         rectangles.append(np.array([[right - bar, bottom, bar, square]], dtype=np.int64))
-        rectangles.append(_moved(text_rectangles(caption, small), right - bar, bottom + 2 * square))
+        rectangles.append(moved(text_rectangles(caption, small), right - bar, bottom + 2 * square))
     return np.concatenate(rectangles)
-
-
-def _moved(rectangles: IntArray, x: int, y: int) -> IntArray:
-    return rectangles + np.array([x, y, 0, 0], dtype=np.int64)
 
 
 def _dbu(design: Design, length_um: float) -> int:

@@ -87,22 +87,13 @@ class Crystal:
         c = square / e2 + change * along**2 - 1.0
         return np.sqrt(o2 - square), (np.sqrt(half_b**2 - a * c) - half_b) / a
 
-    def plane_wave_jones(self, kappa_x: FloatArray, kappa_y: FloatArray) -> ComplexArray:
-        """Return the Jones matrix of a plane wave from the air to the pillars, relative to the ordinary path.
-
-        The direction cosines along x and y in the air have any shape. The matrix, shape (2, 2, ...), is indexed [pillar
-        polarisation, incident polarisation], amplitudes per square root of the flux.
-        """
-        ordinary, extraordinary = self.normal_components(kappa_x, kappa_y)
-        return self._jones(kappa_x, kappa_y, self.substrate.thickness_um * (extraordinary - ordinary))
-
     def jones(
         self, x_um: FloatArray, y_um: FloatArray, vergence_per_um: float, tangent: tuple[float, float]
     ) -> ComplexArray:
-        """Return the Jones matrix at the lens points (x, y), any shape, relative to the ordinary path there.
+        """Jones matrix from the air to the pillars at (x, y), any shape, relative to the ordinary path there.
 
-        Its shape is (2, 2, ...), as that of :meth:`plane_wave_jones`; the object has a vergence and a tangent (x/z,
-        y/z).
+        The matrix, shape (2, 2, ...), is indexed [pillar polarisation, incident polarisation], amplitudes per square
+        root of the flux; the object has a vergence and a tangent (x/z, y/z).
         """
         thickness_um = self.substrate.thickness_um
         kappa_x, kappa_y = self.plate.direction_cosines(x_um, y_um, vergence_per_um, tangent)

@@ -123,11 +123,9 @@ def test_each_saving_has_its_numbers_and_its_error(small_design: Design) -> None
     savings = ledger(small_design, library, summary.layout, summary.psf, summary.decode)
     cells = savings[0]
     assert (cells.step, cells.computed, cells.of, cells.error) == ("library", 120, 5776, 3e-4)
-    assert cells.share_left_out == pytest.approx(1.0 - 120 / 5776)
     by_name = {(entry.step, entry.what): entry for entry in savings}
     depths = by_name["psf", "depths"]
     assert depths.of is None
-    assert depths.share_left_out is None
     rows, columns = small_design.scene.field_px if small_design.scene else (0, 0)
     assert by_name["psf", "directions of the field"].of == rows * columns
 
