@@ -1,7 +1,8 @@
 """Confidence of a decoded depth: the one place that defines it.
 
 The confidence of a pixel is the probability that its depth is within 5 % of the truth: the probability that its segment
-is the right one, times that of noise staying within 5 %.
+is the right one, times that of noise staying within 5 %. Along an outline it holds the pixels of a downsampled pixel
+that lie across it.
 
 A segment is doubted where the twins do not fit at its depth (misfit > 1), and near an outline, more so where they fit
 the depth across it no worse. The log odds of a wrong segment are linear in these measures. Their weights were fitted
@@ -51,6 +52,26 @@ def right_segment(misfit: Reals, misfit_across: Reals, outline_px: Reals) -> Flo
     measures = (1.0, misfits, near, far, near * np.clip(across - own, -2.0, 3.0), far * misfits)
     wrong = sum(weight * measure for weight, measure in zip(_WEIGHTS, measures, strict=True))
     return np.asarray(expit(-wrong))
+
+
+def same_side(vergence_per_m: FloatArray, step: int) -> FloatArray:
+    """Probability that a frame pixel lies on its downsampled pixel's side of an outline: shape (n_y, n_x).
+
+    A downsampled pixel belongs to the side of most of its frame pixels, so that the outline lies anywhere within half a
+    downsampled pixel of the border between two. The mean share across it is 1/8, or (1 - 1 / step^2) / 8 for an odd
+    ``step``, where a pixel lies in the middle.
+
+    Args:
+        vergence_per_m: shape (n_y, n_x), 1/depth of each downsampled pixel's segment; NaN for none.
+        step: frame pixels from one downsampled pixel to the next.
+    """
+    beside = np.zeros(vergence_per_m.shape, dtype=bool)
+    for one, other in (((slice(1, None),), (slice(None, -1),)), ((..., slice(1, None)), (..., slice(None, -1)))):
+        differs = np.abs(vergence_per_m[one] - vergence_per_m[other]) > RIGHT_WITHIN * vergence_per_m[one]
+        beside[one] |= differs
+        beside[other] |= differs
+    across = (1.0 - step % 2 / step**2) / 8.0
+    return np.where(beside, 1.0 - across, 1.0)
 
 
 def confidence(pixel_error: FloatArray, segment_error: FloatArray, right: FloatArray | float) -> FloatArray:

@@ -13,7 +13,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.figures import DecodingFigures, SegmentFigures
 from metafab.core.numeric.distance import distance
 from metafab.core.parallel.executor import kept_threads
-from metafab.decode.confidence import LEAST_RIGHT, RIGHT_WITHIN, confidence
+from metafab.decode.confidence import LEAST_RIGHT, RIGHT_WITHIN, confidence, same_side
 from metafab.decode.image import Image4D
 from metafab.decode.images.contrast import SegmentLight, pixel_contrast
 from metafab.decode.images.deconvolution import SharpImages
@@ -172,9 +172,10 @@ def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int
     claimed = pixels.claimed & (regions.grown > 0)
     known = (regions.grown > 0) & (distance(claimed) <= WINDOW_PX / step)
     segment_error = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])[regions.grown]
-    right = np.ones(regions.grown.shape) if regions.right is None else regions.right
-    known &= right >= LEAST_RIGHT
     vergence = regions.vergence_per_m(regions.grown)
+    right = np.ones(vergence.shape) if regions.right is None else regions.right
+    known &= right >= LEAST_RIGHT
+    right = right * same_side(vergence, step)
     # A window about a pixel of a small object shows what is about the object.
     agrees = claimed & (np.abs(pixels.vergence_per_m - vergence) < RIGHT_WITHIN * vergence)
     pixel_error = np.where(agrees, pixels.relative_error, np.inf)
