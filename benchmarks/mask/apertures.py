@@ -16,6 +16,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmarks.pipeline.commands import REPOSITORY, finished
+from metafab.core.errors import InputError
 
 APERTURES_UM = ("2000", "4000", "8000")
 #: Depth (m) and pixel (um) of the PSFs where the sensor is sharp, and far from there.
@@ -25,7 +26,11 @@ _LARGE_UM, _LARGE_PSFS = 8000.0, {"psf": ("0.3", "0.4"), "psf out of focus": ("i
 
 
 def rows(quick: bool, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
-    """A row of each step and aperture; ``only`` names apertures in um."""
+    """A row of each step and aperture; ``only`` names apertures in um. InputError for a name that is none."""
+    for case in only:
+        if not re.fullmatch(r"[1-9]\d*(\.(oas|gds))?", case):
+            expected = "an aperture in whole um, with .gds or .oas after it if need be"
+            raise InputError.single("benchmark", "--only", expected, repr(case))
     for case in only or (APERTURES_UM[:1] if quick else APERTURES_UM):
         aperture_um, _, suffix = case.partition(".")
         with TemporaryDirectory() as name:

@@ -8,6 +8,7 @@ and the processor time of the command, the scheduler and each worker: that of th
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any
 
 from benchmarks.mask.apertures import lens_of
 from benchmarks.pipeline.commands import REPOSITORY, dask_scheduler, dask_worker, finished
-from metafab.core.errors import MissingToolError
+from metafab.core.errors import InputError, MissingToolError
 from metafab.core.storage.files import file_sha256
 
 JOBS = ("2000", "8000", "tio2_hexagonal_660nm")
@@ -26,6 +27,11 @@ WORKERS = (0, 1, 2)
 
 def rows(quick: bool, only: Sequence[str] = ()) -> Iterator[dict[str, Any]]:
     """A row of each job and number of workers."""
+    cells = sorted(path.stem for path in (REPOSITORY / "unitcell_lib").glob("*.toml"))
+    for job in only:
+        if not re.fullmatch(r"[1-9]\d*", job) and job not in cells:
+            expected = f"an aperture in whole um, or a unit cell: {', '.join(cells)}"
+            raise InputError.single("benchmark", "--only", expected, repr(job))
     for job in only or (JOBS[:1] if quick else JOBS):
         with TemporaryDirectory() as name:
             folder = Path(name)

@@ -382,3 +382,51 @@ class FocusFigures:
     radius_um: FloatArray  #: Shape (m,), radii of ``encircled`` and ``encircled_limit``.
     encircled: FloatArray  #: Shape (m,), share of the transmitted light within the radius.
     encircled_limit: FloatArray  #: Shape (m,), that of the ideal lens.
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrderFigures:
+    """One transmitted order of a mask whose pattern repeats, for one incident polarisation."""
+
+    polarisation: Literal["x", "y"]  #: Polarisation of the incident light.
+    order: tuple[int, ...]  #: Orders (m, n) of the repeat along x and y.
+    angle_x_deg: float  #: Angle behind the mask whose sine is the direction's component along x; likewise y.
+    angle_y_deg: float
+    efficiency: float  #: Power over the incident power, by full wave.
+    library_efficiency: float  #: The same by the library, each pillar among its like.
+    error: float  #: Bound on the error of ``efficiency``: of the solver, and of the windows that were not solved.
+    wanted: bool  #: Whether the library's light is at least half as bright as in its brightest order.
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrdersFigures:
+    """Orders of a mask whose pattern repeats, far from its rim, by full wave."""
+
+    reason: str | None = optional()  #: Why they were not solved.
+    sites: tuple[int, ...] | None = optional()  #: Pillars of a repeat along x and y.
+    windows: int | None = optional()  #: Unlike repeats that were solved.
+    coupling_error: float | None = optional()  #: Relative L2 error of the library's field.
+    orders: tuple[
+        OrderFigures, ...
+    ] = ()  #: Orders of 3 % of the light or more, brightest first, x then y polarisation.
+
+    def wanted(self, polarisation: str) -> tuple[float, float, float]:
+        """Efficiency, error and the library's efficiency, summed over the wanted orders of a polarisation."""
+        rows = [row for row in self.orders if row.wanted and row.polarisation == polarisation]
+        return (
+            sum(row.efficiency for row in rows),
+            sum(row.error for row in rows),
+            sum(row.library_efficiency for row in rows),
+        )
+
+    @property
+    def sentence(self) -> str:
+        """Light in the wanted orders in words, or why it is known by the library alone."""
+        if self.sites is None:
+            return f"by the library alone: {self.reason}"
+        shares = [self.wanted(p) for p in ("x", "y")]
+        text = ", ".join(f"{100 * e:.1f} ± {100 * d:.1g} % of {p}" for p, (e, d, _) in zip("xy", shares, strict=True))
+        library = ", ".join(f"{100 * of_library:.1f}" for _, _, of_library in shares)
+        return (
+            f"{text} polarised light, by full wave of {self.sites[0]} x {self.sites[1]} pillars (library {library} %)"
+        )

@@ -197,12 +197,18 @@ class Library(Displayed):
         if not beyond:
             return found
         row, column = np.unravel_index(int(np.nanargmax(error)), error.shape)
+        known = int(self.known.sum())
         worst = self._size(f"{self.width_nm[column]:g}", f"{self.length_nm[row]:g}")
         return [
             *found,
-            f"{beyond} of {int(self.known.sum())} sizes are beyond the target error {target:g}; the worst, "
+            f"{beyond} of {known} sizes are beyond the target error {target:g}; the worst, "
             f"{worst}, is known to {error[row, column]:.2g}. "
-            "A layout takes others where they serve; another height or period moves resonances",
+            + (
+                "A layout takes others where they serve; "
+                if beyond < known
+                else "No size is known to it: a layout takes them all; "
+            )
+            + "another height or period moves resonances",
         ]
 
     def _size(self, width: str, length: str) -> str:

@@ -64,8 +64,15 @@ def require_valid(
     if faults:
         raise InputError("optics", faults)
     directions = [tangent, *([] if grid is None else [(float(x), float(y)) for y in grid[1] for x in grid[0]])]
-    # The aperture band-limits the irradiance. Samples add up to its integral if the sampling frequency lies beyond
-    # that band.
+    require_fine_pixels(imaging, directions)
+
+
+def require_fine_pixels(imaging: Imaging, directions: Sequence[Tangent]) -> None:
+    """Refuse pixels so coarse that their sum is not the power in the window, by an InputError.
+
+    The aperture band-limits the irradiance. Samples add up to its integral if the sampling frequency lies beyond that
+    band.
+    """
     finest_um = min(imaging.finest_fringe_um(p, direction) for p in (0, 1) for direction in directions)
     if imaging.pixel_um >= finest_um:
         raise InputError.single(

@@ -7,7 +7,7 @@
 - ``layout``     pillars, mask files and their design-rule check
 - ``exposure``   electron exposure of a written mask, corrected doses
 - ``optics``     PSF pairs of the written mask and of the target phases
-- ``merit``      figures of merit, loss chain, aberrations over the field; each of several wavelengths
+- ``merit``      full-wave orders, figures of merit, loss chain, aberrations; each of several wavelengths
 - ``tolerance``  effect of fabrication errors
 - ``images``     raw frames, 4D images, films, camera calibration
 - ``stokes``     full-Stokes camera of a design
@@ -25,7 +25,7 @@ from metafab.steps.images import CAPTURE, DECODE
 from metafab.steps.job import Job, Step
 from metafab.steps.layout import DRC, LAYOUT, write_layout
 from metafab.steps.library import LIBRARY, open_library
-from metafab.steps.merit import LIGHTS, MERIT
+from metafab.steps.merit import LIGHTS, MERIT, ORDERS
 from metafab.steps.optics import PSF, calibration, mask_source, point_spread
 from metafab.steps.phase import PHASE, STUDY
 from metafab.steps.preflight import preflight
@@ -33,7 +33,7 @@ from metafab.steps.summary import RunSummary
 from metafab.steps.tolerance import TOLERANCE
 
 #: All steps that make results, in the order in which they run.
-RESULT_STEPS = (LIBRARY, PHASE, STUDY, LAYOUT, DRC, EXPOSURE, PSF, MERIT, LIGHTS, TOLERANCE, CAPTURE, DECODE)
+RESULT_STEPS = (LIBRARY, PHASE, STUDY, LAYOUT, DRC, EXPOSURE, PSF, ORDERS, MERIT, LIGHTS, TOLERANCE, CAPTURE, DECODE)
 
 __all__ = [
     "RESULT_STEPS",

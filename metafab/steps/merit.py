@@ -14,8 +14,8 @@ import numpy as np
 
 from metafab.core.conventions import POLARISATIONS, FloatArray
 from metafab.core.errors import InputError
-from metafab.core.figures import AberrationFigures, FocusFigures, Loss, SpaceVariance, Wavefront
-from metafab.core.storage.files import file_sha256, write_json
+from metafab.core.figures import AberrationFigures, FocusFigures, Loss, OrdersFigures, SpaceVariance, Wavefront
+from metafab.core.storage.files import file_sha256, read_json, write_json
 from metafab.core.storage.pictures import read_grey
 from metafab.core.storage.tables import optional, typed
 from metafab.spec import Design, Light
@@ -25,7 +25,7 @@ from metafab.spec.terms import Lens, Picture, Radial, SplitLens, forms_images
 from metafab.steps.job import Job, Step, in_folder, light_tangent, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
-from metafab.steps.optics import PairFigures, lit_source, point_spread, save_psf, written_light
+from metafab.steps.optics import PairFigures, lit_source, mask_source, point_spread, save_psf, written_light
 
 if TYPE_CHECKING:
     from metafab.optics import Imaging, Psf
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _FREQUENCIES = 33
 #: Sites across a lens, at least, for a wavefront of 36 polynomials.
 _FEWEST_SITES = 24
+#: File of the orders of a mask whose pattern repeats.
+_ORDERS_FILE, _ORDERS_KIND = "orders.json", "metafab orders"
 
 
 @dataclass(frozen=True)
@@ -146,22 +148,53 @@ class CouplingFigures:
     """Error of the local-period approximation, from full-wave simulations of rows of the mask."""
 
     coupling_error: float  #: Relative L2 error of the field.
-    efficiency_ratio: float  #: Power in the focusing order relative to that of the stitched library.
-    rows: int  #: Simulated rows.
+    efficiency_ratio: float  #: Power in the wanted order relative to that of the stitched library.
+    rows: int  #: Simulated rows, or repeats of the pattern.
     solvers: tuple[str, ...]  #: Names of the solvers.
+    #: That ratio of x and of y polarised light, where the pattern repeats.
+    polarised_ratio: tuple[float, ...] | None = optional()
 
 
 def recorded_coupling(job: Job) -> CouplingFigures | None:
-    """Figures that ``metafab coupling`` stored for a mask of this run; None if there are none."""
-    if not (job.folder / "coupling.json").is_file():
+    """Figures of rows by ``metafab coupling``, or of the step ``orders``, for a mask of this run; None without any."""
+    rows, orders = job.folder / "coupling.json", job.folder / _ORDERS_FILE
+    if not rows.is_file() and not orders.is_file():
         return None
     from metafab import fullwave
 
-    coupling = fullwave.load_coupling(job.folder / "coupling.json")
-    if coupling is None or coupling.mask_sha256 not in {file_sha256(path) for path in mask_paths(job)}:
+    of_masks = {file_sha256(path) for path in mask_paths(job)}
+    coupling = fullwave.load_coupling(rows)
+    if coupling is not None and coupling.mask_sha256 in of_masks:
+        solvers = tuple(sorted({row.solver for row in coupling.rows}))
+        return CouplingFigures(coupling.coupling_error, coupling.efficiency_ratio, len(coupling.rows), solvers)
+    return read_json(orders, _ORDERS_KIND, 1, lambda table: _of_orders(table, of_masks))
+
+
+def _of_orders(table: dict[str, Any], of_masks: set[str]) -> CouplingFigures | None:
+    figures = typed(OrdersFigures, table["figures"])
+    if table["mask_sha256"] not in of_masks or figures.windows is None or figures.coupling_error is None:
         return None
-    solvers = tuple(sorted({row.solver for row in coupling.rows}))
-    return CouplingFigures(coupling.coupling_error, coupling.efficiency_ratio, len(coupling.rows), solvers)
+    shares = np.array([figures.wanted(p) for p in POLARISATIONS])
+    ratio, mean = shares[:, 0] / shares[:, 2], float(shares[:, 0].sum() / shares[:, 2].sum())
+    return CouplingFigures(figures.coupling_error, mean, figures.windows, ("rcwa",), tuple(ratio.tolist()))
+
+
+def _orders(job: Job) -> OrdersFigures:
+    from metafab.fullwave.repeats import measure_orders
+
+    path = mask_paths(job)[-1]
+    with job.work.processes() as executor:
+        figures = measure_orders(
+            mask_source(job, path).pillars, open_library(job), executor=executor, progress=job.work.progress
+        )
+    content = {"kind": _ORDERS_KIND, "format_version": 1, "mask_sha256": file_sha256(path), "figures": figures}
+    write_json(job.folder / _ORDERS_FILE, content)
+    return figures
+
+
+def _has_no_orders(design: Design) -> str | None:
+    bends = any(isinstance(term, Lens | Radial | SplitLens) for term in design.phase)
+    return no_mask(design) or ("the design focuses light: its pillars do not repeat" if bends else None)
 
 
 def _merit(job: Job) -> MeritFigures:
@@ -318,7 +351,9 @@ def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: FloatArray, ideal_pa
     coupling = recorded_coupling(job)
     # With the model of neighbours, what they take is missing in the written field already.
     has_neighbours = isinstance(source, optics.NeighbourField)
-    kept = None if coupling is None or has_neighbours else coupling.efficiency_ratio
+    kept = (
+        None if coupling is None or has_neighbours else (coupling.polarised_ratio or (coupling.efficiency_ratio,) * 2)
+    )
     transmitted = _transmitted(written)
     open_ahead = optics.Apodisation.of(job.design) is None and job.design.substrate is None
     stopped = None if open_ahead else _transmitted(ideal)
@@ -375,10 +410,21 @@ def _at_light(job: Job, light: Light) -> LightFigures:
     )
 
 
+ORDERS = Step(
+    name="orders",
+    rooms=("mask", "cell", "library", "fullwave"),
+    after=("library", "layout"),
+    inputs=lambda d: d.mask.bias_nm,
+    outputs=in_folder(_ORDERS_FILE),
+    work=_orders,
+    figures=OrdersFigures,
+    not_needed=_has_no_orders,
+)
+
 MERIT = Step(
     name="merit",
     rooms=("mask", "library", "optics", "phase"),
-    after=("library", "phase", "layout", "psf"),
+    after=("library", "phase", "layout", "psf", "orders"),
     inputs=lambda d: (d.measured, d.sensor, d.device),
     outputs=in_folder("merit.json"),
     work=_merit,

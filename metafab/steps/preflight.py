@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from metafab.core.errors import Fault, InputError
 from metafab.spec import Design, Scene
@@ -47,6 +47,8 @@ def preflight(design: Design) -> None:
     if design.has_mask:
         faults += _unreachable_rules(design)
         faults += _proximity_classes(design)
+    if not faults:
+        faults += _coarse_pixels(design)
     if not faults and design.scene is not None:
         faults += _objects_outside_view(design, design.scene)
         faults += _overlapping_images(design, design.scene)
@@ -62,6 +64,26 @@ def _depths_without_image(design: Design) -> list[Fault]:
         depths |= {f"scene.objects[{i}].depth_m": item.depth_m for i, item in enumerate(design.scene.objects)}
     expected, remedy = f"a depth beyond the focal length, {focal_m:g} m", "nearer objects have no image"
     return [Fault(name, expected, f"{depth:g} m", remedy) for name, depth in depths.items() if depth <= focal_m]
+
+
+def _coarse_pixels(design: Design) -> list[Fault]:
+    """Pixels too coarse for the irradiance of the aperture, for the field and for each light."""
+    from metafab.optics import Imaging, field_tangents
+    from metafab.optics.numerics import require_fine_pixels
+
+    faults = []
+    for light in design.light or (None,):
+        lit = design if light is None else design.at_light(light)
+        imaging, directions = Imaging.of(lit), [(0.0, 0.0)]
+        if light is not None and light.angles_deg:
+            directions = [light_tangent(lit, light)]
+        elif (grid := field_tangents(lit, imaging)) is not None:
+            directions = [(float(x), float(y)) for y in grid[1] for x in grid[0]]
+        try:
+            require_fine_pixels(imaging, directions)
+        except InputError as error:
+            faults += [replace(fault, field="sensor.pixel_um") for fault in error.faults]
+    return faults[:1]
 
 
 def _overlapping_images(design: Design, scene: Scene) -> list[Fault]:

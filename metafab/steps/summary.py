@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from metafab.core.figures import PhaseFigures, ToleranceTable
+from metafab.core.figures import OrdersFigures, PhaseFigures, ToleranceTable
 from metafab.core.storage.files import plain, write_json
 from metafab.core.storage.tables import DAMAGED, optional, typed
 from metafab.spec import Design
@@ -73,6 +73,7 @@ class RunSummary:
     drc: DrcFigures | None = None
     exposure: PrintedFigures | None = None
     psf: PsfFigures | None = None
+    orders: OrdersFigures | None = None
     merit: MeritFigures | None = None
     lights: LightsFigures | None = None
     tolerance: ToleranceTable | None = None
@@ -171,7 +172,9 @@ def _neighbours_line(summary: RunSummary) -> BudgetLine:
         "local-period approximation",
         None if coupling is None else coupling.coupling_error,
         "relative L2",
-        "field behind rows of one local period, full-wave, against the stitched library; `metafab coupling`",
+        "field behind rows of one local period, full-wave, against the stitched library; `metafab coupling`"
+        if coupling is None or coupling.polarised_ratio is None
+        else "field behind the pillars of a repeat, full-wave, against the stitched library",
     )
 
 

@@ -105,3 +105,10 @@ def test_a_quick_room_measures_something(tmp_path: Path) -> None:
     assert answer.code == 0, answer.stderr
     assert all(row["seconds"] > 0.0 and row["peak_rss_mb"] > 0.0 for row in answer.json["rows"])
     assert (tmp_path / "benchmark_drc.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("room", "name"), [("apertures", "2mm"), ("apertures", "nan"), ("cluster", "sos")])
+def test_a_part_that_is_none_is_refused_by_name(room: str, name: str) -> None:
+    answer = metafab("benchmark", room, "--only", name)
+    assert answer.code == 2
+    assert f"got {name!r}" in answer.stderr and "an aperture in whole um" in answer.stderr

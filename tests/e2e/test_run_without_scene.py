@@ -55,6 +55,7 @@ def test_a_lens_without_a_scene_runs_to_its_report(tmp_path: Path, plain_lens: D
     skipped = {entry.step: entry.why for entry in summary.skipped}
     assert "[tolerance]" in skipped.pop("tolerance") and "[process.exposure]" in skipped.pop("exposure")
     no_scene = dict.fromkeys(("capture", "decode"), "the design has no scene to photograph")
+    assert "focuses light" in skipped.pop("orders")
     assert skipped == {"lights": "the design serves one wavelength", **no_scene}
     assert summary.psf is not None and summary.capture is None and summary.decode is None
     # Stigmatic for parallel light, used at a finite depth: most of what the pillars let through is in the window.

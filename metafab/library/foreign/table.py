@@ -35,6 +35,9 @@ _SUFFIXES = ("_re", "_im", "_abs", "_phase_rad", "_phase_deg")
 _LARGEST_MB = 1000.0
 #: Most sizes of a sweep; a million of them takes 1 s to compare.
 _MOST_SIZES = 2_000_000
+#: Widest range of phases in radians: 16 turns take 16 wavelengths of optical path more in one pillar than in another.
+#: Wrapped phases in degrees span up to 360.
+_WIDEST_RAD = 100.0
 
 
 @dataclass(frozen=True)
@@ -184,6 +187,11 @@ def _amplitude(columns: Mapping[str, NDArray[np.generic]], name: str, path: Path
     if parts.keys() == {"_re", "_im"}:
         return np.asarray(parts["_re"] + 1j * parts["_im"], dtype=np.complex128)
     if parts.keys() == {"_abs", "_phase_rad"}:
+        phases = parts["_phase_rad"][np.isfinite(parts["_phase_rad"])]
+        if phases.size and (span := float(np.ptp(phases))) > _WIDEST_RAD:
+            expected, got = f"radians, within {_WIDEST_RAD:g} of each other", f"a range of {span:.4g}"
+            remedy = f"are they degrees? Then name the column `{name}_phase_deg`"
+            raise InputError.single(str(path), f"{name}_phase_rad", expected, got, remedy)
         return np.asarray(parts["_abs"] * np.exp(1j * parts["_phase_rad"]), dtype=np.complex128)
     if parts.keys() == {"_abs", "_phase_deg"}:
         return np.asarray(parts["_abs"] * np.exp(1j * np.radians(parts["_phase_deg"])), dtype=np.complex128)

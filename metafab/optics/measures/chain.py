@@ -11,7 +11,7 @@ deflector ends with the target wave.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -66,7 +66,7 @@ def loss_chain(
     transmitted: FloatArray,
     passed: FloatArray | None = None,
     ideal_passed: FloatArray | None = None,
-    coupling: float | None = None,
+    coupling: Sequence[float] | None = None,
     stopped: FloatArray | None = None,
     opening: str = "pinhole",
 ) -> list[Loss]:
@@ -77,7 +77,8 @@ def loss_chain(
         transmitted: shape (2,), share of the light at the aperture that the pillars transmit.
         passed: shape (2,), share that passes the opening behind the written mask, by the library; None for no opening.
         ideal_passed: shape (2,), share that passes the opening behind the target phases.
-        coupling: efficiency of full-wave rows over that of the same rows by the library; None if not measured.
+        coupling: efficiency of full-wave rows over that of the same rows by the library, of x and of y polarised light;
+            None if not measured.
         stopped: shape (2,), share that passes a substrate, stop or amplitude before the pillars and keeps its
             polarisation, which is contained in ``transmitted`` and both efficiencies; None for none.
         opening: name of the opening.
@@ -97,7 +98,7 @@ def loss_chain(
         _loss("wave that the library can follow", best),
         _loss("sizes snapped to the grid", overlap / best),
         Loss("rim without whole cells", (front.filled, front.filled)),
-        Loss("unlike neighbours, full-wave", None if coupling is None else (coupling, coupling)),
+        Loss("unlike neighbours, full-wave", None if coupling is None else (coupling[0], coupling[1])),
     ]
     if passed is not None and ideal_passed is not None:
         ideally, share = (each if stopped is None else each / stopped for each in (ideal_passed, passed))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from html import escape
 
-from metafab.core.figures import LightMapping
+from metafab.core.figures import LightMapping, OrdersFigures
 from metafab.report import html
 from metafab.report.accounts import loss_chain
 from metafab.report.html import Drawn
@@ -36,12 +36,15 @@ def headlines(run: RunFolder) -> str:
             items.append(html.headline(f"{abs(rotation):.0f}°", "rotation of the PSF pair over the depths"))
     if summary.picture is not None:
         items.append(html.headline(f"{100 * summary.picture[0]:.0f}\u202f%", f"of the light {summary.picture[1]}"))
+    solved = summary.orders is not None and summary.orders.sites is not None
+    if summary.orders is not None and solved:
+        items.append(_by_full_wave(summary.orders))
     if summary.lights is not None and run.outline.forms_images:
         items += _lights(summary.lights, summary.layout)
-    elif summary.merit is not None and run.outline.forms_images and nmae is None:
+    elif summary.merit is not None and run.outline.forms_images and nmae is None and not solved:
         items += _focus(summary.merit)
     terms = () if run.design is None else run.design.phase
-    if summary.layout is not None and terms and all(isinstance(term, Grating) for term in terms):
+    if summary.layout is not None and not solved and terms and all(isinstance(term, Grating) for term in terms):
         items.append(html.headline(f"{100 * summary.layout.efficiency:.0f}\u202f%", _orders(terms)))
     if summary.layout is not None:
         items.append(html.headline(html.number(summary.layout.pillars), "pillars"))
@@ -49,6 +52,16 @@ def headlines(run: RunFolder) -> str:
         broken = summary.violations
         items.append(html.headline(html.number(broken), "rules broken", "bad" if broken else "good"))
     return f'<ul class="headlines">{"".join(items)}</ul>' if items else ""
+
+
+def _by_full_wave(orders: OrdersFigures) -> str:
+    """Light in the wanted orders by full wave, beside the library's."""
+    (x, _, of_x), (y, _, of_y) = orders.wanted("x"), orders.wanted("y")
+    text = (
+        "of x · of y polarised light in the wanted order, by full wave "
+        f"(each pillar among its like: {100 * of_x:.0f} · {100 * of_y:.0f}\u202f%)"
+    )
+    return html.headline(f"{100 * x:.0f} · {100 * y:.0f}\u202f%", text)
 
 
 def _orders(gratings: Sequence[PhaseTerm]) -> str:

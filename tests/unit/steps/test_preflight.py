@@ -77,3 +77,11 @@ def test_arrays_are_as_steep_as_their_samples_are_from_pillar_to_pillar(tmp_path
         x_um = (np.arange(round(12.0 / pitch_um) + 1) - 0.5 * round(12.0 / pitch_um)) * pitch_um
         for share, is_told in ((0.97, False), (1.03, True)):
             assert told(pitch_um, np.mod(share * np.pi / 0.3 * x_um, turn)) is is_told
+
+
+def test_pixels_too_coarse_for_the_aperture_are_refused_before_any_work(tmp_path: Path) -> None:
+    design = load_design(ROOT / "layouts" / "tio2_metalens.toml")
+    coarse = replace(design, sensor=replace(design.sensor, pixel_um=0.5))
+    with pytest.raises(InputError, match=r"`sensor\.pixel_um`: expected below 0\.44"):
+        PREFLIGHT.work(Job(coarse, tmp_path))
+    assert isinstance(PREFLIGHT.work(Job(design, tmp_path)), PreflightFigures)

@@ -57,7 +57,7 @@ def test_the_shape_of_a_psf_does_not_validate_a_library() -> None:
 def test_factors_multiply_to_what_passes() -> None:
     front = Wavefront((0.95, 0.96), (0.0, 0.0), (0.98, 0.97), 0.99, 100)
     passed = np.array([0.70, 0.72])
-    losses = loss_chain(front, np.array([0.9, 0.88]), passed, np.array([0.93, 0.94]), coupling=0.97)
+    losses = loss_chain(front, np.array([0.9, 0.88]), passed, np.array([0.93, 0.94]), coupling=(0.97, 0.97))
     assert np.prod([loss.factor for loss in losses if loss.factor], axis=0) == pytest.approx(0.97 * passed)
     stopped = loss_chain(front, np.array([0.9, 0.88]), passed, np.array([0.93, 0.94]), stopped=np.array([0.95, 0.95]))
     assert np.prod([loss.factor for loss in stopped if loss.factor], axis=0) == pytest.approx(passed)

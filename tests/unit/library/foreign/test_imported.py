@@ -175,10 +175,25 @@ def test_what_does_not_fit_is_refused(header: str, scale: float, message: str, c
     # One amplitude serves both polarisations only where every size is there in both orientations.
     width, length = (axis.ravel() for axis in np.meshgrid(SIZES_NM if scale == 1.0 else SIZES_NM[:8], SIZES_NM[:8]))
     t = scale * _t(width, length)
-    parts = (np.abs(t), np.degrees(np.angle(t))) if header.endswith("_rad") else (t.real, t.imag)
+    parts = (np.abs(t), 15.0 * np.angle(t)) if header.endswith("_rad") else (t.real, t.imag)
     path = _rows(tmp_path / "sweep.csv", header, width, length, *parts)
     with pytest.raises(InputError, match=message):
         import_sweep(path, cell, quantity="field")
+
+
+def test_degrees_in_a_column_of_radians_are_refused_at_the_sizes_of_the_file_too(
+    cell: UnitCell, tmp_path: Path
+) -> None:
+    width, length = (axis.ravel() for axis in np.meshgrid(SIZES_NM[:8], SIZES_NM[:8]))
+    t = _t(width, length)
+    own = replace(cell, sweep=replace(cell.sweep, size_grid_nm=float(SIZES_NM[1] - SIZES_NM[0])))
+    for unit, phase in (("rad", np.angle(t)), ("deg", np.degrees(np.angle(t)))):
+        header = f"width_nm,length_nm,t_abs,t_phase_{unit}"
+        path = _rows(tmp_path / f"{unit}.csv", header, width, length, np.abs(t), phase)
+        import_sweep(path, own, quantity="field")
+    path = _rows(tmp_path / "sweep.csv", "width_nm,length_nm,t_abs,t_phase_rad", width, length, np.abs(t), phase)
+    with pytest.raises(InputError, match=r"`t_phase_rad`: expected radians.*`t_phase_deg`"):
+        import_sweep(path, own, quantity="field")
 
 
 def test_a_size_given_twice_is_refused(cell: UnitCell, tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from metafab import fullwave, report
+from metafab.core.figures import OrderFigures, OrdersFigures
 from metafab.fullwave.coupling import CouplingRow
 from metafab.report.figures import mask as figures
 from metafab.report.style import panel
@@ -80,3 +81,27 @@ def test_pictures_show_the_sites_where_they_are(patch: fullwave.Patch) -> None:
     (image,) = axes.images
     assert image.get_clim() == (0.0, 1.2)
     np.testing.assert_allclose(image.get_array(), 1.0)
+
+
+def test_orders_by_full_wave_stand_first_and_in_a_table(tmp_path: Path) -> None:
+    rows = [
+        OrderFigures(
+            polarisation=p,  # type: ignore[arg-type]
+            order=(m, 0),
+            angle_x_deg=10.02 * m,
+            angle_y_deg=0.0,
+            efficiency=share,
+            library_efficiency=0.91,
+            error=0.007,
+            wanted=True,
+        )
+        for p, m, share in (("x", 1, 0.787), ("y", -1, 0.89))
+    ]
+    solved = OrdersFigures(sites=(13, 1), windows=6, coupling_error=0.2, orders=tuple(rows))
+    RunSummary(orders=solved, seconds={"orders": 54.0}).save(tmp_path / "summary.json")
+    text = report.write(tmp_path).read_text(encoding="utf-8")
+    head = text.split('id="fullwave"')[0]
+    assert "79 · 89" in head and "each pillar among its like: 91 · 91" in head
+    assert "repeat after 13 x 1" in text and "-10.02°, 0.00°" in text and "0.787" in text
+    RunSummary(orders=OrdersFigures(reason="no repeat")).save(tmp_path / "summary.json")
+    assert "known by the library alone: no repeat" in report.write(tmp_path).read_text(encoding="utf-8")

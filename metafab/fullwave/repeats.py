@@ -1,0 +1,247 @@
+"""Orders of a mask whose pattern repeats: its supercells, found among the written pillars, by full wave.
+
+A deflector, a splitter or a grating repeats after some pillars, exactly or nearly: a phase that turns once in 13.1
+pillars has the same sizes after 13, or sizes a step beside them. The library's t of the pillars tells the repeat by its
+autocorrelation. Windows of one repeat, spread over the mask, are solved as periodic supercells; their mean is the
+efficiency of each order far from the rim, their spread is part of its error.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+
+import numpy as np
+
+from metafab.cell.curved.supercell import count_functions
+from metafab.cell.elements.basis import basis_of
+from metafab.cell.elements.solve import orders_at
+from metafab.cell.supercell import IntArray, Supercell
+from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
+from metafab.core.errors import InputError
+from metafab.core.figures import OrderFigures, OrdersFigures
+from metafab.core.parallel.executor import SerialExecutor, in_order
+from metafab.core.parallel.progress import Progress, silent
+from metafab.fullwave.written import library_responses, site_cell, sizes_at
+from metafab.layout import PillarMap
+from metafab.library import Library
+
+#: Side of the blocks in which a repeat is looked for, and the longest repeat, sites. Shifts of up to half of a block
+#: are compared.
+_BLOCK_SITES, _LONGEST_SITES = 128, 40
+#: Least correlation of a block with itself, shifted by a repeat or a multiple of it: a period of 13.127 sites has
+#: 0.94 after four times 13, snapping to sizes takes 0.01 to 0.1.
+_ALIKE = 0.85
+#: Windows along an axis that are compared, and most windows that are solved.
+_PLACES, _WINDOWS = 8, 8
+#: Processor time that the solutions may take in a run; seconds per cubed number of functions, measured on a slow core.
+_LIMIT_S, _PER_CUBE_S = 60.0, 2.5e-9
+#: Ascending polynomial orders of rectangles and of curved outlines, and the bound on the error of an efficiency: a
+#: share of its last change, and this floor over the squared order. On windows of 13 silicon pillars, orders 3 and 4
+#: differed by up to 0.13 of the change from 2 to 3.
+_RESOLUTIONS, _CURVED_RESOLUTIONS = (2.0, 3.0), (3.0, 4.0)
+_SHARE, _SHARE_CURVED, _FLOOR = 0.5, 2.0, 0.01
+#: Smallest efficiency of an order that is listed; share of the brightest from which the library's orders are wanted.
+_LISTED, _WANTED = 0.03, 0.5
+
+
+def measure_orders(
+    pillars: PillarMap,
+    library: Library,
+    *,
+    limit_s: float = _LIMIT_S,
+    executor: Executor | None = None,
+    progress: Progress = silent,
+) -> OrdersFigures:
+    """Efficiency of the orders of a mask by full wave and by its library, or the reason why they were not solved.
+
+    ``limit_s`` is the processor time that the solutions may take.
+    """
+    try:
+        if pillars.lattice.hexagonal or pillars.angle_deg is not None:
+            return OrdersFigures(reason="supercells hold upright pillars in a rectangular lattice")
+        cell = site_cell(library)
+        blocks = [library_responses(Supercell(cell, sizes), library) for sizes in _blocks(pillars)]
+        repeat = [_repeat(blocks, axis) for axis in (0, 1)]
+        if 0 in repeat:
+            axes = " and ".join("yx"[axis] for axis in (1, 0) if repeat[axis] == 0)
+            return OrdersFigures(reason=f"the pillars do not repeat within {_LONGEST_SITES} sites along {axes}")
+        windows = _windows(pillars, (repeat[0], repeat[1]))
+        supercells = [Supercell(cell, sizes) for sizes in windows.sizes_nm]
+        seconds = _seconds(supercells[0])
+    except InputError as error:
+        return OrdersFigures(reason=str(error.faults[0]))
+    shape = f"{repeat[1]} x {repeat[0]} pillars"
+    if (count := min(len(supercells), int(limit_s / seconds))) < min(len(supercells), 2):
+        return OrdersFigures(reason=f"each repeat of {shape} takes about {seconds / 60.0:.2g} min of processor time")
+    chosen = np.unique(np.linspace(0, len(supercells) - 1, count).round().astype(int))
+    found = []
+    for done, each in enumerate(
+        in_order(executor or SerialExecutor(), _solve, [supercells[i] for i in chosen]), start=1
+    ):
+        found.append(each)
+        progress("supercells", done, len(chosen))
+    drift = tuple(_drift(blocks, axis, repeat[axis]) for axis in (1, 0))
+    unsolved = 1.0 - (1.0 - windows.unseen) * len(chosen) / len(supercells)
+    return _figures([supercells[i] for i in chosen], windows.weight[chosen], found, library, drift, unsolved)
+
+
+def _blocks(pillars: PillarMap) -> Iterator[FloatArray]:
+    """Sizes of the middle of the lattice and of the middles of its quarters, nm, shape (n_y, n_x, 2) each."""
+    n_y, n_x = pillars.lattice.shape
+    side = min(_BLOCK_SITES, n_y), min(_BLOCK_SITES, n_x)
+    middles = {(n_y // 2, n_x // 2)}
+    if max(n_y, n_x) > _BLOCK_SITES:
+        middles |= {(round(n_y * v), round(n_x * u)) for v in (0.3, 0.7) for u in (0.3, 0.7)}
+    for y, x in sorted(middles):
+        yield sizes_at(pillars, max(y - side[0] // 2, 0), max(x - side[1] // 2, 0), side)
+
+
+def _correlation(t: ComplexArray, axis: int, shift: int) -> complex:
+    """Correlation of the responses of sites, shape (n_y, n_x), with those ``shift`` sites on along an axis."""
+    along = np.moveaxis(t, axis, 0)
+    here, there = along[: len(along) - shift], along[shift:]
+    both = (here != 0.0) & (there != 0.0)  # beyond the aperture there are none
+    norm = float(np.linalg.norm(here[both]) * np.linalg.norm(there[both]))
+    return complex(np.vdot(here[both], there[both])) / norm if norm else 0.0
+
+
+def _repeat(blocks: Sequence[ComplexArray], axis: int) -> int:
+    """Sites after which all blocks, shape (2, n_y, n_x), and both polarisations repeat along an axis; 0 if none do."""
+    reach = min(block.shape[1 + axis] for block in blocks) // 2
+    alike = [1.0] + [
+        min(_correlation(t, axis, shift).real for block in blocks for t in block) for shift in range(1, reach + 1)
+    ]
+    for sites in range(1, min(reach, _LONGEST_SITES) + 1):
+        if min(alike[sites::sites]) >= _ALIKE:
+            return sites
+    return 0
+
+
+def _drift(blocks: Sequence[ComplexArray], axis: int, sites: int) -> tuple[float, ...]:
+    """Turns of the phase after a repeat, beyond whole ones, of x and of y polarised light."""
+    return tuple(
+        float(np.angle(sum(_correlation(block[p], axis, sites) for block in blocks))) / (2.0 * math.pi) for p in (0, 1)
+    )
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """Distinct windows of one repeat."""
+
+    sizes_nm: list[FloatArray]  #: Shape (n_y, n_x, 2) each.
+    weight: FloatArray  #: Shape (n,), windows of the mask that are alike.
+    unseen: float  #: Share of the mask that no compared window covers.
+
+
+def _windows(pillars: PillarMap, shape: tuple[int, int]) -> _Windows:
+    """Windows of one repeat, spread evenly over the mask, that hold as many pillars as any; InputError if none does."""
+    counts = [total // sites for total, sites in zip(pillars.lattice.shape, shape, strict=True)]
+    first = [(total - n * sites) // 2 for total, n, sites in zip(pillars.lattice.shape, counts, shape, strict=True)]
+    places = [np.unique(np.linspace(0, n - 1, min(n, _PLACES)).round().astype(int)) for n in counts]
+    found = np.array(
+        [
+            [sizes_at(pillars, first[0] + j * shape[0], first[1] + i * shape[1], shape) for i in places[1]]
+            for j in places[0]
+        ]
+    )
+    # Sites of an even pattern differ by nothing along the axis along which it does not change.
+    seen = [
+        n * sites / total if n == len(at) else (1.0 if np.all(found == found.take([0], axis)) else len(at) / n)
+        for axis, (n, sites, total, at) in enumerate(zip(counts, shape, pillars.lattice.shape, places, strict=True))
+    ]
+    flat = found.reshape(-1, *shape, 2)
+    pillars_of = np.count_nonzero(flat[..., 0], axis=(1, 2))
+    alike: dict[bytes, list[FloatArray]] = {}
+    for sizes in flat[pillars_of == pillars_of.max()]:
+        rolled = (np.roll(sizes, (j, i), axis=(0, 1)) for j in range(shape[0]) for i in range(shape[1]))
+        alike.setdefault(min(each.tobytes() for each in rolled), []).append(sizes)
+    groups = list(alike.values())
+    chosen = np.unique(np.linspace(0, len(groups) - 1, min(len(groups), _WINDOWS)).round().astype(int))
+    exact = len(groups) == 1
+    unseen = 0.0 if exact else 1.0 - seen[0] * seen[1] * len(chosen) / len(groups)
+    return _Windows([groups[i][0] for i in chosen], np.array([len(groups[i]) for i in chosen], float), unseen)
+
+
+def _resolutions(supercell: Supercell) -> tuple[float, ...]:
+    return _CURVED_RESOLUTIONS if supercell.cell.is_shaped else _RESOLUTIONS
+
+
+def _seconds(supercell: Supercell) -> float:
+    """Estimated processor time of a supercell."""
+    turned = supercell.exchanged() if supercell.shape[1] == 1 else supercell
+    lights = POLARISATIONS if 1 in supercell.shape else POLARISATIONS[:1]
+    cubes = 0.0
+    for resolution in _resolutions(supercell):
+        for light in lights:
+            curved = supercell.cell.is_shaped
+            count = count_functions(turned, resolution) if curved else basis_of(turned, light, resolution).sizes[0]
+            cubes += float(count) ** 3
+    return cubes * _PER_CUBE_S
+
+
+def _solve(supercell: Supercell) -> tuple[ComplexArray, FloatArray, FloatArray]:
+    """Amplitudes, shape (n_orders, out, in), efficiencies, shape (2, n_orders), and the change of these."""
+    order, efficiency = supercell.propagating_orders("x"), []
+    for resolution in _resolutions(supercell):
+        t = orders_at(supercell, POLARISATIONS, resolution)
+        efficiency.append(_efficiency(supercell, order, t))
+    return t, efficiency[-1], efficiency[-1] - efficiency[-2]
+
+
+def _efficiency(supercell: Supercell, order: IntArray, t: ComplexArray) -> FloatArray:
+    """Power of the orders over the incident power, shape (2, n_orders)."""
+    return np.array([supercell.relative_power(order, t[:, :, p], light) for p, light in enumerate(POLARISATIONS)])
+
+
+def _figures(
+    supercells: Sequence[Supercell],
+    weight: FloatArray,
+    found: Sequence[tuple[ComplexArray, FloatArray, FloatArray]],
+    library: Library,
+    drift: Sequence[Sequence[float]],
+    unsolved: float,
+) -> OrdersFigures:
+    """Weighted means over the windows; ``drift`` are turns after a repeat, along x and y, of both polarisations."""
+    one = supercells[0]
+    order, share = one.propagating_orders("x"), weight / weight.sum()
+    lone = []
+    for supercell in supercells:
+        t = np.zeros((len(order), 2, 2), dtype=np.complex128)
+        for p, responses in enumerate(library_responses(supercell, library)):
+            t[:, p, p] = supercell.local_period(order, responses)
+        lone.append(t)
+    solved = np.array([each[0] for each in found])
+    field_error = np.linalg.norm(solved - lone) / np.linalg.norm(lone)
+    full, change = (np.array([each[i] for each in found]) for i in (1, 2))
+    # As in the PSFs, a site carries the flux |t|^2 n_out / n_in of its lattice into the direction of the order.
+    carried = np.array([n_out.real / n_in.real for n_out, n_in in zip(one.cell.n_out, one.cell.n_in, strict=True)])
+    by_library = np.einsum("w,wopp->po", share, np.abs(lone) ** 2) * carried[:, None]
+    mean = np.einsum("w,wpo->po", share, full)
+    spread = np.sqrt(np.einsum("w,wpo->po", share, (full - mean) ** 2) * unsolved / max(len(found) - 1, 1))
+    part = _SHARE_CURVED if one.cell.is_shaped else _SHARE
+    truncation = part * np.einsum("w,wpo->po", share, np.abs(change)) + _FLOOR / _resolutions(one)[-1] ** 2
+    rows = []
+    for p, light in enumerate(POLARISATIONS):
+        turns = order + np.array([drift[0][p], drift[1][p]])
+        sines = turns * one.cell.wavelength_nm / (1e3 * np.array(one.period_um) * one.cell.n_out[p].real)
+        for i in np.argsort(-mean[p]):
+            if max(mean[p, i], by_library[p, i]) < _LISTED:
+                continue
+            along = np.degrees(np.arcsin(np.clip(sines[i], -1.0, 1.0)))
+            rows.append(
+                OrderFigures(
+                    polarisation=light,
+                    order=(int(order[i, 0]), int(order[i, 1])),
+                    angle_x_deg=float(along[0]),
+                    angle_y_deg=float(along[1]),
+                    efficiency=float(mean[p, i]),
+                    library_efficiency=float(by_library[p, i]),
+                    error=float(truncation[p, i] + spread[p, i]),
+                    wanted=bool(by_library[p, i] >= _WANTED * by_library[p].max()),
+                )
+            )
+    n_y, n_x = one.shape
+    return OrdersFigures(sites=(n_x, n_y), windows=len(found), orders=tuple(rows), coupling_error=float(field_error))
