@@ -44,13 +44,22 @@ def command(*arguments: str) -> dict[str, Any]:
     return {"args": [sys.executable, "-m", "metafab.cli", *arguments], "env": environment, "text": True}
 
 
-def finished(*arguments: str, most_s: int = 3600) -> Finished:
-    """Run ``metafab`` to its end, or until one of its processes has taken ``most_s`` of processor time."""
+def finished(*arguments: str, most_s: int = 3600, **variables: str) -> Finished:
+    """Run ``metafab`` to its end, or until one of its processes has taken ``most_s`` of processor time.
+
+    ``variables`` are added to its environment.
+    """
+    told = command(*arguments)
+    return measure(told["args"], most_s, {**told["env"], **variables})
+
+
+def measure(arguments: list[str], most_s: int = 3600, environment: dict[str, str] | None = None) -> Finished:
+    """Run a program likewise, by default in the environment of this process."""
     with tempfile.NamedTemporaryFile("r") as figures:
-        told = command(*arguments)
-        told["args"] = [sys.executable, "-S", "-c", _MEASURE, figures.name, *told["args"]]
+        told = [sys.executable, "-S", "-c", _MEASURE, figures.name, *arguments]
         start = time.perf_counter()
-        process = subprocess.Popen(**told, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        process = subprocess.Popen(told, env=environment, text=True, **pipes)
         resource.prlimit(process.pid, resource.RLIMIT_CPU, (most_s, most_s))
         stdout, stderr = process.communicate()
         seconds = time.perf_counter() - start

@@ -1,22 +1,26 @@
-"""Processor time of each step of a run beside its floor: what its solves, bytes or transforms alone take here.
+"""Jobs and steps beside goal and floor: processor time, error, and the time of the least work by the plainest code.
 
-The floor of a step is measured in the same process with the plainest code that does the least necessary work:
+``seconds`` is processor time of all processes, ``wall_seconds`` the clock's, ``goal_s`` the goal by the clock on two
+quiet cores; ``peer`` is the room that runs the next peer. The floor, measured in the same process:
 
-- ``library``: the solver alone, on as many sizes as were solved;
+- ``library``: the solver alone, on as many random sizes as were solved;
 - ``layout``: zeros of as many bytes as the mask files hold, written;
 - ``drc``: the mask files, read;
 - ``psf``: each pillar's t looked up and added up once a polarisation, and one matrix Fourier transform of the blocks
   for each window;
 - ``capture``: one transform and its inverse of the frame for each object and polarisation;
-- ``decode``: the transforms of both images, of each basis image, and of each layer's sharp images.
+- ``decode``: the transforms of both images, of each basis image, and of each layer's sharp images;
+- a pillar, a hundred pillars: their matrix products and linear systems;
+- an image, a map or a frame: the transforms of both images;
+- commands: those of the steps, or a Python that starts and ends.
 
 ``phase``, ``study``, ``merit`` and ``report`` have no floor that is worth its name.
 """
 
 from __future__ import annotations
 
+import json
 import shutil
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,57 +28,198 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from scipy import fft
 
-from metafab.cell import CellNumerics, pillar_cell, solve
+from benchmarks.cell.algebra import algebra_s, least_seconds
+from benchmarks.cell.cell import many, paper_cell
+from benchmarks.decode.decode import optics_of
+from benchmarks.pipeline.commands import REPOSITORY, Finished, finished
+from benchmarks.pipeline.least_work import passes_s, read_s, solver_s, start_s, transform_s, window_s, written_s
+from metafab import camera, decode, optics
+from metafab.cell import CellNumerics, CellResponse, solve
 from metafab.core.parallel.measure import measured
 from metafab.core.parallel.work import Work
-from metafab.library.sweep.build import solver_target
+from metafab.decode import VideoDecoder
 from metafab.run import STEPS, run
-from metafab.spec import Design, UnitCell, load_design
+from metafab.spec import Design, load_design
 from metafab.steps import RunSummary
 from metafab.steps.job import Job, Step
 
-LAYOUTS = Path(__file__).parents[2] / "layouts"
-#: Sizes that give the mean time of the solver.
-_SAMPLED_SIZES = 24
-#: Order of the matrices that give the rate of multiplications.
-_ORDER = 512
+LAYOUTS = REPOSITORY / "layouts"
+SMALL, PAPER, OUTDOOR = "helix_small", "helix_2mm", "helix_outdoor"
+#: Seconds by the clock that a job is to take, two quiet cores.
+GOALS_S = {
+    "first command": 20.0,
+    f"{SMALL}: whole": 6.0,
+    f"{SMALL}: library": 3.0,
+    f"{PAPER}: whole": 20.0,
+    f"{PAPER}: layout": 5.0,
+    f"{PAPER}: drc": 1.3,
+    f"{PAPER}: psf": 4.0,
+    f"{PAPER}: camera": 2.0,
+    f"{PAPER}: report": 2.0,
+    "one pillar to 0.001": 0.006,
+    "one pillar to 0.0001": 0.020,
+    "100 pillars in one call, random sizes": 0.35,
+    "metafab --help": 0.15,
+    "unchanged run": 0.3,
+}
+#: Rooms whose rows hold the next peer.
+PEERS = {
+    "library": "grids: benchmark library",
+    "layout": "gdstk, KLayout: benchmark layout",
+    "drc": "KLayout: benchmark drc",
+    "psf": "prysm and others: benchmark psf",
+    "pillar": "fmmax and others: benchmark cell",
+}
+#: Pillars whose median is the time of one.
+_PILLARS = 24
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
-    """A row of each step: processor seconds, floor, and their ratio; ``error`` is the step's own.
+    """A row of each job and step; ``error`` is the step's own.
 
     Args:
-        quick: the small lens alone, without the paper's.
+        quick: steps of the small lens and few pillars, without the paper's lens, commands and films.
     """
-    return [row for name in ("helix_small", "helix_2mm")[: 1 if quick else 2] for row in steps_of(name)]
-
-
-def steps_of(name: str) -> list[dict[str, Any]]:
-    """Rows of the design ``layouts/NAME.toml``, on one core, with a library that is built on the way."""
-    design = load_design(LAYOUTS / f"{name}.toml")
-    costs: dict[str, tuple[float, float]] = {}
     with TemporaryDirectory() as place:
         folder = Path(place)
-        cell = folder / design.library.name
-        shutil.copy(design.library, cell)
-        design = replace(design, library=cell)
-        steps = [replace(step, work=_timed(step, costs)) for step in STEPS]
-        summary = run(design, folder / "run", steps=steps, work=Work(workers=1))
-        floors = _floors(design, summary, folder / "run")
-    errors = _errors(summary)
-    return [
+        table = steps_of(SMALL, folder)
+        whole_s = sum(row["floor_s"] or 0.0 for row in table[:-1])
+        table += [] if quick else steps_of(PAPER, folder)
+    table += [*(_pillar(error, 4 if quick else _PILLARS) for error in (1e-3, 1e-4)), *many(quick)]
+    if not quick:
+        table += [*_commands(whole_s), *_images()]
+    return [_beside(row) for row in table]
+
+
+def _beside(row: dict[str, Any]) -> dict[str, Any]:
+    """The row with its goal, its ratio to the floor, and its next peer."""
+    name, floor_s = row["name"], row.get("floor_s")
+    peer = next((room for word, room in PEERS.items() if word in name), None)
+    return row | {"goal_s": GOALS_S.get(name), "ratio": row["seconds"] / floor_s if floor_s else None, "peer": peer}
+
+
+def steps_of(name: str, folder: Path) -> list[dict[str, Any]]:
+    """Rows of the design ``layouts/NAME.toml``, on one core, and of the whole run.
+
+    Its library is built on the way, unless ``folder`` holds it.
+    """
+    design = load_design(LAYOUTS / f"{name}.toml")
+    costs: dict[str, tuple[float, float]] = {}
+    cell = folder / design.library.name
+    is_built = cell.with_suffix(".h5").exists()
+    shutil.copy(design.library, cell)
+    design = replace(design, library=cell)
+    steps = [replace(step, work=_timed(step, costs)) for step in STEPS]
+    summary = run(design, folder / name, steps=steps, work=Work(workers=1))
+    floors, errors = _floors(design, summary, folder / name), _errors(summary)
+    if is_built:
+        del floors["library"]
+    table = [
         {
             "name": f"{name}: {step}",
             "error": errors.get(step),
             "seconds": seconds,
             "peak_rss_mb": peak_rss_mb,
             "floor_s": floors.get(step),
-            "ratio": seconds / floors[step] if floors.get(step) else None,
         }
         for step, (seconds, peak_rss_mb) in costs.items()
     ]
+    camera = [row for row in table if row["name"].endswith((": capture", ": decode"))]
+    return [*table, _sum(f"{name}: camera", camera, errors["decode"]), _sum(f"{name}: whole", table, errors["decode"])]
+
+
+def _sum(name: str, parts: list[dict[str, Any]], error: float | None) -> dict[str, Any]:
+    return {
+        "name": name,
+        "error": error,
+        "seconds": sum(row["seconds"] for row in parts),
+        "peak_rss_mb": max(row["peak_rss_mb"] for row in parts),
+        "floor_s": sum(row["floor_s"] or 0.0 for row in parts),
+    }
+
+
+def _pillar(target_error: float, count: int) -> dict[str, Any]:
+    """Median time of one certified pillar of the paper's cell, and of its matrix products and linear systems."""
+    sizes_nm = np.random.default_rng(1).uniform(100.0, 250.0, (count, 2)).tolist()
+    cells, numerics = [paper_cell(*size_nm) for size_nm in sizes_nm], CellNumerics(target_error)
+    solve(cells[0], numerics)
+    found: list[tuple[float, CellResponse]] = []
+    for cell in cells:
+        with measured() as cost:
+            answer = solve(cell, numerics)
+        found.append((cost.processor_seconds, answer))
+    seconds, answer = sorted(found, key=lambda each: each[0])[count // 2]
+    error = max(each.error for _, each in found)
+    return {
+        "name": f"one pillar to {target_error:g}",
+        "error": error,
+        "seconds": seconds,
+        "floor_s": algebra_s([answer]),
+    }
+
+
+def _commands(whole_s: float) -> list[dict[str, Any]]:
+    """Rows of commands in a copy of the repository's inputs: the first one compiles; ``whole_s`` is its floor."""
+    with TemporaryDirectory() as place:
+        folder = Path(place)
+        for name in ("layouts", "unitcell_lib"):
+            shutil.copytree(REPOSITORY / name, folder / name, ignore=shutil.ignore_patterns("*.h5"))
+        lens = ("run", str(folder / "layouts" / f"{SMALL}.toml"), "-o", str(folder / "run"), "--json")
+        first = finished(*lens, NUMBA_CACHE_DIR=str(folder / "kernels"))
+        again, listed, start = finished(*lens), finished("--help"), start_s()
+    depth = json.loads(first.stdout)["decode"]["nmae"]
+    return [
+        _command("first command", first, depth, whole_s),
+        _command("unchanged run", again, depth, start),
+        _command("metafab --help", listed, None, start),
+    ]
+
+
+def _command(name: str, done: Finished, error: float | None, floor_s: float) -> dict[str, Any]:
+    if done.code:
+        raise RuntimeError(f"{name}: exit code {done.code}: {done.stderr}")
+    return {
+        "name": name,
+        "error": error,
+        "seconds": done.processor_seconds,
+        "wall_seconds": done.seconds,
+        "peak_rss_mb": done.peak_rss_mb,
+        "floor_s": floor_s,
+    }
+
+
+def _images() -> list[dict[str, Any]]:
+    """Rows of a 4D image, a depth map and a film's frame with a moving car; their judgement is not timed."""
+    (frame, *_), decoder = _photographed(PAPER)
+    image, unjudged = decoder(frame), replace(frame, truth=None)
+    table = [
+        {"name": "4D image", "error": image.nmae, "seconds": least_seconds(lambda: decoder(unjudged))},
+        {"name": "depth map", "error": image.nmae, "seconds": least_seconds(lambda: decoder.depth_map(unjudged))},
+    ]
+    frames, decoder = _photographed(OUTDOOR)
+    judged, timed = VideoDecoder(decoder), VideoDecoder(decoder)
+    errors = [judged(each).nmae for each in frames]
+    timed(replace(frames[0], truth=None))
+    with measured() as cost:
+        for each in frames[1:]:
+            timed(replace(each, truth=None))
+    seconds, error = cost.processor_seconds / len(frames[1:]), float(np.mean([each for each in errors if each]))
+    table.append({"name": "frame of a film with motion", "error": error, "seconds": seconds})
+    floor_s = 2.0 * transform_s(*image.depth_m.shape)
+    return [{**row, "floor_s": floor_s} for row in table]
+
+
+def _photographed(name: str) -> tuple[list[camera.RawFrame], decode.Decoder]:
+    """Frames of a design's scene by its target phases, and their decoder."""
+    design = load_design(LAYOUTS / f"{name}.toml")
+    source, imaging, depth_m = optics_of(design)
+    pair = optics.psf(source, imaging, depth_m)
+    assert design.scene is not None  # these lenses have one
+    frames = list(camera.film(design.scene, pair))
+    decoder = decode.Decoder.of(pair, frames[0].frame.shape, frames[0].origin_um, frames[0].x_window)
+    assert decoder is not None  # the frame holds both images
+    return frames, decoder
 
 
 def _timed(step: Step, costs: dict[str, tuple[float, float]]) -> Callable[[Job], Any]:
@@ -118,73 +263,3 @@ def _floors(design: Design, summary: RunSummary, folder: Path) -> dict[str, floa
         "decode": (2 + 2 * (decode.basis_images or 0)) * transform_s(rows_px // step, columns_px // step)
         + 2 * (decode.layers or 1) * transform_s(rows_px, columns_px),
     }
-
-
-def solver_s(unit_cell: UnitCell) -> float:
-    """Mean processor time of the solver for one size of a sweep, to the error that a build asks for."""
-    sweep = unit_cell.sweep
-    sizes_nm = np.random.default_rng(1).uniform(0.0, 1.0, (_SAMPLED_SIZES, 2))
-    spans = (sweep.width_nm, sweep.length_nm)
-    cells = [pillar_cell(unit_cell, *(low + u * (high - low) for u, (low, high) in zip(pair, spans, strict=True)))
-             for pair in sizes_nm.tolist()]  # fmt: skip
-    numerics = CellNumerics(solver_target(unit_cell), unit_cell.solver.name)
-    solve(cells[0], numerics)
-    return _seconds(lambda: [solve(cell, numerics) for cell in cells]) / len(cells)
-
-
-def written_s(path: Path, count: int) -> float:
-    """Processor time of writing ``count`` bytes."""
-    block = bytes(1 << 20)
-
-    def write() -> None:
-        with path.open("wb") as stream:
-            for start in range(0, count, len(block)):
-                stream.write(block[: count - start])
-
-    seconds = _seconds(write)
-    path.unlink()
-    return seconds
-
-
-def read_s(paths: list[Path]) -> float:
-    """Processor time of reading files."""
-
-    def read() -> None:
-        for path in paths:
-            with path.open("rb") as stream:
-                while stream.read(1 << 20):
-                    pass
-
-    return _seconds(read)
-
-
-def passes_s(pillars: int) -> float:
-    """Processor time of looking up t of ``pillars`` pillars and adding it up, for both polarisations."""
-    count = min(pillars, 1 << 22)
-    index = np.random.default_rng(1).integers(0, 2500, count).astype(np.uint16)
-    table = np.ones(2500, dtype=np.complex64)
-    return 2.0 * pillars / count * _seconds(lambda: np.take(table, index).sum())
-
-
-def window_s(blocks: int, window_px: int) -> float:
-    """Processor time of a matrix Fourier transform of ``blocks`` blocks and their two moments to a square window."""
-    side = max(1, round(blocks**0.5))
-    matrix = np.ones((_ORDER, _ORDER), dtype=np.complex64)
-    per_product = _seconds(lambda: matrix @ matrix) / _ORDER**3
-    return 3.0 * per_product * (side * side * window_px + side * window_px * window_px)
-
-
-def transform_s(rows_px: int, columns_px: int) -> float:
-    """Processor time of one real Fourier transform of a picture."""
-    picture = np.ones((fft.next_fast_len(rows_px, real=True), fft.next_fast_len(columns_px, real=True)), np.float32)
-    return _seconds(lambda: fft.rfft2(picture))
-
-
-def _seconds(work: Callable[[], Any], rounds: int = 3) -> float:
-    """Least processor time of a few rounds."""
-    found = []
-    for _ in range(rounds):
-        begun = time.process_time()
-        work()
-        found.append(time.process_time() - begun)
-    return min(found)

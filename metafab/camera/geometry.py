@@ -10,15 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial.polynomial import polyder, polyval2d, polyvander
+from numpy.polynomial.polynomial import polyder, polyvander
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.compiled import compiled
 from metafab.optics.point_spread import Psf
 
 _NEWTON_STEPS = 4
 #: Share of the calibrated field by which directions may lie outside of it on either side.
 _BEYOND = 0.05
+#: Places of a loop.
+_PLACES = 1024
 
 
 @dataclass(frozen=True)
@@ -67,18 +70,21 @@ class ImageMap:
 
         Polarisation 0 is x, 1 is y.
         """
-        v, u = tangent_y / self.scale, tangent_x / self.scale
-        x, y = (np.asarray(polyval2d(v, u, c)) for c in self.coefficients_um[polarisation])
+        x, y = self._polynomials(self.coefficients_um[polarisation], tangent_x, tangent_y)
         return x, y
 
     def jacobian_um(self, polarisation: int, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
         """d(x, y) / d(tangent_x, tangent_y) at directions of any shape (...): shape (..., 2, 2), um."""
-        v, u = tangent_y / self.scale, tangent_x / self.scale
-        rows = [
-            [polyval2d(v, u, polyder(c, axis=axis)) / self.scale for axis in (1, 0)]
-            for c in self.coefficients_um[polarisation]
-        ]
-        return np.moveaxis(np.asarray(rows), (0, 1), (-2, -1))
+        by_x, by_y = (polyder(self.coefficients_um[polarisation], axis=axis) / self.scale for axis in (2, 1))
+        by_tangent = [self._polynomials(slopes, tangent_x, tangent_y) for slopes in (by_x, by_y)]
+        return np.moveaxis(np.stack(by_tangent, axis=1), (0, 1), (-2, -1))
+
+    def _polynomials(self, coefficients: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
+        """Polynomials, coefficients of shape (2, n_y, n_x), at directions of any shape (...): shape (2, ...)."""
+        x, y = np.broadcast_arrays(tangent_x, tangent_y)
+        out = np.empty((2, x.size))
+        _evaluate(np.ascontiguousarray(coefficients), np.ravel(x / self.scale), np.ravel(y / self.scale), out)
+        return out.reshape(2, *x.shape)
 
     def to_tangent(self, polarisation: int, x_um: FloatArray, y_um: FloatArray) -> tuple[FloatArray, FloatArray]:
         """The direction (x/z, y/z) whose geometric image is at (x, y) on the sensor, by Newton's method from the axis.
@@ -103,6 +109,27 @@ class ImageMap:
     def area_um2(self, polarisation: int, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
         """Sensor area per unit area of tangents, um^2, at directions of any shape: the same shape."""
         return np.asarray(np.abs(np.linalg.det(self.jacobian_um(polarisation, tangent_x, tangent_y))))
+
+
+@compiled
+def _evaluate(coefficients: FloatArray, u: FloatArray, v: FloatArray, out: FloatArray) -> None:
+    """Two polynomials by Horner's rule, shape (2, n), from powers of v and of u: coefficients (2, n_v, n_u).
+
+    The loops over places are innermost, for vectors, and short, for the cache.
+    """
+    row = np.empty(_PLACES)
+    for start in range(0, u.size, _PLACES):
+        along, across = u[start : start + _PLACES], v[start : start + _PLACES]
+        for k in range(len(out)):
+            value, c = out[k, start : start + _PLACES], coefficients[k]
+            value[:] = 0.0
+            for i in range(c.shape[0] - 1, -1, -1):
+                row[:] = 0.0
+                for j in range(c.shape[1] - 1, -1, -1):
+                    for place in range(value.size):
+                        row[place] = row[place] * along[place] + c[i, j]
+                for place in range(value.size):
+                    value[place] = value[place] * across[place] + row[place]
 
 
 def _span(tangents: FloatArray) -> tuple[float, float]:

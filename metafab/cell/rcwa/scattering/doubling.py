@@ -38,7 +38,7 @@ _LAMBERT = np.array(
     [[34459425.0, -16216200.0, 945945.0, -13860.0, 45.0], [34459425.0, -4729725.0, 135135.0, -990.0, 1.0]]
 )
 #: Largest x of a travelling mode in the thin slab.
-_THIN = 1.5
+THIN = 1.5
 #: Largest accepted violation of reciprocity, as an amplitude. Amplitudes by doubling and by modes then differ by up to
 #: a hundred times this.
 CONSISTENT = 1e-10
@@ -176,7 +176,7 @@ def _halvings(powers: Matrix, thickness: float, largest_a: float) -> int | None:
     if not 0.0 < steepest < np.inf:
         return None
     travelling = min(steepest, np.sqrt(largest_a) * thickness)
-    return max(1, int(np.ceil(max(0.5 * np.log2(steepest), np.log2(travelling / _THIN)))))
+    return max(1, int(np.ceil(max(0.5 * np.log2(steepest), np.log2(travelling / THIN)))))
 
 
 @cache

@@ -77,7 +77,7 @@ def test_answers_become_errors_and_ratios(
     benchmark: dict[str, Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """A peer that answers 0.75 times the truth in 100 s errs by a quarter of the largest |t|."""
-    cells = [benchmark["_cell"](*size_nm) for size_nm in benchmark["PEER_NM"]]
+    cells = [benchmark["paper_cell"](*size_nm) for size_nm in benchmark["PEER_NM"]]
     truth = np.array([np.diag(zero_order(cell, 12).t) for cell in cells])
     t = np.stack([truth.real, truth.imag], axis=-1) * 0.75
     answer = {"orders": 49, "t": t.tolist(), "seconds": [90.0, 110.0], "peak_rss_mb": 7.0}
