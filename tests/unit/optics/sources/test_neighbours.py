@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from metafab.cell import pillar_cell
+from metafab.cell.supercell import Supercell
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError
 from metafab.core.figures import LineStatistics
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.library import Library
-from metafab.library.neighbours.evaluation import block_corrections
+from metafab.library.neighbours.evaluation import block_corrections, solve_supercell
 from metafab.library.neighbours.line import LineShape, initial_model
 from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.optics import neighbour_field, written_field
@@ -25,7 +27,10 @@ SPAN = (100.0, 250.0)
 def library(smooth_library: Library) -> Library:
     """A library with chains of random parameters."""
     along, across = (
-        TrainedLine(initial_model(LineShape(4, 2, 3), SPAN, SPAN, seed), LineStatistics()) for seed in (1, 2)
+        TrainedLine(
+            initial_model(LineShape(4, 2, 3), SPAN, SPAN, seed), LineStatistics(error_floor=0.0, error_slope=0.1)
+        )
+        for seed in (1, 2)
     )
     return replace(smooth_library, neighbours=Neighbours((along, along), (across, across)))
 
@@ -89,6 +94,17 @@ def test_a_periodic_mask_has_the_field_of_its_period(library: Library) -> None:
         ratio = inner / closed
         assert np.abs(ratio - ratio[0, 0]).max() < 1e-4
         assert abs(ratio[0, 0]) <= 1.7601**-0.5 + 1e-6
+
+
+def test_a_block_of_equal_rows_is_as_certain_as_one_of_them(library: Library) -> None:
+    assert library.neighbours is not None
+    cell = pillar_cell(library.unit_cell, 0.0, 0.0)
+    row = np.array([[(120.0, 180.0), (150.0, 150.0), (200.0, 140.0)]])
+    alone, equal = (solve_supercell(library, Supercell(cell, np.tile(row, (rows, 1, 1)))) for rows in (1, 2))
+    # The block's columns are lines of equal pillars: they add the error of such a line, 0 in these statistics.
+    assert equal.error == pytest.approx(alone.error, rel=1e-9)
+    unlike = solve_supercell(library, Supercell(cell, np.concatenate([row, row[:, ::-1]])))
+    assert unlike.error > 2.0 * equal.error
 
 
 def test_libraries_without_a_model_and_turned_pillars_are_refused(library: Library, smooth_library: Library) -> None:
