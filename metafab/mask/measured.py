@@ -16,6 +16,8 @@ from metafab.core.storage.limits import require_modest_table
 from metafab.layout import PillarMap
 
 COLUMNS = ("x_um", "y_um", "width_nm", "length_nm")
+#: Largest median ratio of measured and drawn sizes: beyond it the unit is wrong.
+_LARGEST_RATIO = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +37,7 @@ class MeasuredTable:
     def sites(self, pillars: PillarMap) -> NDArray[np.int64]:
         """Row and column of the pillar at each place, within half a pitch: shape (n, 2).
 
-        InputError if no pillar stands at a place.
+        InputError if no pillar stands at a place, or the sizes cannot be in nm.
         """
         axes = pillars.lattice.y_um(), pillars.lattice.x_um()
         pitch_um = [1e-3 * period * pillars.lattice.database_unit_nm for period in pillars.lattice.period_dbu[::-1]]
@@ -49,6 +51,11 @@ class MeasuredTable:
             got = f"{int(missing.sum())} of {missing.size} without one, such as ({x:g}, {y:g}) um"
             expected = "a pillar of the mask within half a period"
             raise InputError.single(str(self.path), "places", expected, got, "from the axis?")
+        drawn_nm = pillars.size_nm()[pillars.to_array()[row, column]]
+        ratio = float(np.median(self.size_nm / drawn_nm))
+        if not 1.0 / _LARGEST_RATIO < ratio < _LARGEST_RATIO:
+            got = f"sizes that are {ratio:.3g} times those in the median"
+            raise InputError.single(str(self.path), "sizes", "sizes near the drawn ones, in nm", got, "check the unit")
         return np.stack([row, column], axis=1)
 
     def require_each_once(self, *of: NDArray[np.float64] | NDArray[np.int64]) -> None:
@@ -74,6 +81,10 @@ def read_measured(path: Path, optional: Sequence[str] = ()) -> MeasuredTable:
             reader = csv.DictReader(line for line in stream if line.strip() and not line.startswith("#"))
             table, present = list(reader), [name for name in optional if name in (reader.fieldnames or ())]
         names = [*COLUMNS, *present]
+        for number, row in enumerate(table, start=1):
+            if empty := [name for name in names if name in row and not (row[name] or "").strip()]:
+                got, remedy = f"row {number} without {empty[0]}", "leave out pillars that were not measured"
+                raise InputError.single(str(path), "rows", "a number in each column", got, remedy)
         rows = np.array([[float(row[name]) for name in names] for row in table], dtype=np.float64)
     except KeyError as error:
         raise InputError.single(str(path), "columns", expected, f"no column {error.args[0]}") from error

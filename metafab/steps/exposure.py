@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -109,14 +110,17 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     figures = exposed.exposure.figures
     library = open_library(job)
     corner = dict(etch.corner)
-    if job.design.unit_cell.cell.shape == "rectangle":
+    is_rectangle = job.design.unit_cell.cell.shape == "rectangle"
+    if is_rectangle:
         corner = {"corner_radius_nm": round(figures.corner_radius_nm, 3), **corner}
     with work.processes() as executor:
         field = optics.made_field(made.pillars, library, executor)
         doses = "one dose" if printed == "plain" else f"corrected {exposure_process(design).correction}s"
         corners = [(f"printed, {doses}", corner)]
         (at,) = tolerance.fields_at(field, library, corners, executor=executor, progress=work.progress)
-    return MadeMask(at, made, figures)
+    # Corners take an area, and so a change, that grows as the square of their radius.
+    uneven = 2.0 * at.change * figures.corner_radius_rms_nm / figures.corner_radius_nm if is_rectangle else 0.0
+    return MadeMask(replace(at, error=math.hypot(at.error, uneven)), made, figures)
 
 
 def expose_mask(

@@ -12,6 +12,7 @@ the field.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,6 +30,8 @@ _SHIFT_DEGREE, _DEGREE = 2, 1
 _SHIFT_WEIGHT, _LOG_WEIGHT = 0.002, 0.02
 #: Half of the step of the numerical derivatives of the library's surface (nm), and most evaluations of the fit.
 _HALF_STEP_NM, _EVALUATIONS = 0.5, 30
+#: Standard errors of the mean square of the leave-one-out misses in the stated error.
+_STANDARD_ERRORS = 2.0
 
 
 def fitted_amplitudes(
@@ -38,7 +41,10 @@ def fitted_amplitudes(
     changed: ComplexArray,
     groups: Sequence[tuple[int, ...]],
 ) -> tuple[ComplexArray, float]:
-    """Return the amplitudes of all sizes at a corner, shape (n, 2), and their relative leave-one-out error.
+    """Return the amplitudes of all sizes at a corner, shape (n, 2), and a bound of their relative error.
+
+    The bound is the leave-one-out error, with two standard errors of its mean square over the sample: few sizes beside
+    resonances hold most of it.
 
     Args:
         library: a continuous library.
@@ -58,9 +64,11 @@ def fitted_amplitudes(
             return np.concatenate([miss.view(np.float64).ravel(), _WEIGHTS * coefficients])
 
         found = least_squares(misfit, np.zeros(_WEIGHTS.size), x_scale=_SHIFT_WEIGHT / _WEIGHTS, max_nfev=_EVALUATIONS)
-        missed.append(_left_out(found.fun, np.asarray(found.jac), len(sample), 2 * len(group)))
+        missed.append(_left_out(found.fun, np.asarray(found.jac), len(sample), 2 * len(group)).reshape(len(sample), -1))
         fitted[:, group] = _Sizes(library, size_nm, group).amplitudes(found.x)
-    return fitted, float(np.linalg.norm(np.concatenate(missed)) / np.linalg.norm(changed))
+    square = np.sum(np.concatenate(missed, axis=1) ** 2, axis=1)
+    bound = square.sum() + _STANDARD_ERRORS * math.sqrt(len(sample)) * float(square.std())
+    return fitted, math.sqrt(bound) / float(np.linalg.norm(changed))
 
 
 def _terms(degree: int) -> int:

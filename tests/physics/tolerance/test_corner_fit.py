@@ -35,16 +35,20 @@ def _library() -> Library:
 
 
 def test_a_ridge_that_moves_and_widens() -> None:
-    """What remains is the widening, to first order; the stated error is that of sizes that were not solved."""
+    """What remains is the widening, to first order; the stated error bounds that of sizes that were not solved.
+
+    Of sixteen samples, leave-one-out errors are 0.89 (this one) to 1.16 of the true ones, the stated ones 1.01 to 1.30.
+    """
     sizes = np.random.default_rng(0).uniform(112.0, 238.0, (600, 2))
     shrunk = sizes - 6.0 - 0.02 * (sizes - 175.0)
     true = _both(*shrunk.T, half_width_nm=8.4) * np.exp(0.3j - 0.05 * sizes.mean(axis=1, keepdims=True) / 175.0)
-    sample = np.arange(56)
+    sample = np.random.default_rng(4).choice(600, 56, replace=False)
+    others = np.setdiff1d(np.arange(600), sample)
     fitted, stated = fitted_amplitudes(_library(), sizes, sample, true[sample], [(0, 1)])
-    missed = float(np.linalg.norm((fitted - true)[56:]) / np.linalg.norm(true[56:]))
-    changed = float(np.linalg.norm((_both(*sizes.T) - true)[56:]) / np.linalg.norm(true[56:]))
+    missed = float(np.linalg.norm((fitted - true)[others]) / np.linalg.norm(true[others]))
+    changed = float(np.linalg.norm((_both(*sizes.T) - true)[others]) / np.linalg.norm(true[others]))
     assert missed < 0.05 * changed, (missed, stated, changed)
-    assert 0.5 * missed < stated < 3.0 * missed, (missed, stated, changed)
+    assert missed < stated < 2.0 * missed, (missed, stated, changed)
 
 
 def test_what_the_solver_misses_with_and_without_the_change_is_no_change(monkeypatch: pytest.MonkeyPatch) -> None:
