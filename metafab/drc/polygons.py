@@ -67,7 +67,8 @@ def check_polygons(path: Path, design: Design, work: Work = Work(), tile_um: flo
     shapes = read_shapes(path, design, known=KnownShapes(Outline.of(design)))
     require_one_top(path, shapes.top_cells)
     require_shapes(path, design, shapes.count)
-    rules = _RowRules(path.resolve(), design, 1 if work.cluster else work.workers or default_workers(), tile_um)
+    threads = 1 if work.cluster else work.workers or default_workers()
+    rules = _RowRules(path.resolve(), design, shapes.datatypes, threads, tile_um)
     opened = rules.opened
     violations: _Boxes = {rule: set() for rule in rules.checked}
     with SerialExecutor() if work.cluster is None else open_executor(None, work.cluster, work.progress) as executor:
@@ -131,7 +132,7 @@ def _klayout() -> Any:
     return kdb
 
 
-def _open(path: Path, design: Design, tile_um: float) -> _Opened:
+def _open(path: Path, layer: int, datatypes: tuple[int, int], tile_um: float) -> _Opened:
     kdb = _klayout()
     layout = kdb.Layout(False)  # Not editable: arrays stay arrays, in half the memory.
     try:
@@ -140,8 +141,8 @@ def _open(path: Path, design: Design, tile_um: float) -> _Opened:
         expected = "a whole GDSII or OASIS file"
         raise InputError.single(str(path), "file", expected, str(error), "write it again") from error
     tops = layout.top_cells()
-    first, last = design.mask.datatypes
-    layers = [layout.layer(kdb.LayerInfo(design.mask.layer, datatype)) for datatype in range(first, last + 1)]
+    first, last = datatypes
+    layers = [layout.layer(kdb.LayerInfo(layer, datatype)) for datatype in range(first, last + 1)]
     # With a box, the members of arrays are counted one by one.
     everything = tops[0].bbox().enlarged(1, 1)
     pillars = kdb.RecursiveShapeIterator(layout, tops[0], layers, everything, True)
@@ -157,13 +158,14 @@ class _RowRules:
 
     path: Path  #: The file.
     design: Design  #: Rules, layer, unit.
+    datatypes: tuple[int, int]  #: First and last datatype of the pillars.
     threads: int  #: Threads of KLayout.
     tile_um: float  #: Side of the tiles.
 
     @cached_property
     def opened(self) -> _Opened:
         """The file, read once."""
-        return _open(self.path, self.design, self.tile_um)
+        return _open(self.path, self.design.mask.layer, self.datatypes, self.tile_um)
 
     @property
     def checked(self) -> list[str]:

@@ -92,12 +92,10 @@ def read_lenses(
     along = sorted({other for near in reach.values() for other in near} - {copy})
     back = mask.read(path, design, progress=progress, copy=copy, along=along)
     back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
-    if classes := sorted(name for name in back.other_layers if name.split("/")[0] == str(layer)):
-        more = f" and {len(classes) - 1} more" if len(classes) > 1 else ""
-        expected, got = (
-            f"pillars on layer {layer}, datatype {design.mask.datatype} alone",
-            f"shapes on {classes[0]}{more}",
-        )
+    others = [name for name in back.other_layers if name.split("/")[0] == str(layer)]
+    if others or back.datatypes != design.mask.datatypes:
+        expected = f"pillars on layer {layer}, datatype {design.mask.datatype} alone"
+        got = ", ".join(others) or "those of dose classes, datatypes {} to {}".format(*back.datatypes)
         raise InputError.single(str(path), "layers", expected, got, "expose the mask without dose classes")
     if together:
         _require_equal(back)

@@ -1,4 +1,4 @@
-"""Process from measured sizes: dose to clear, backscatter, blur, focus and etch, by nonlinear least squares.
+"""Process from measured sizes: dose to clear, backscatter, blur, focus and etch, by a robust nonlinear fit.
 
 A pillar of a lens with dose D prints where its energy reaches the clearing energy. Both edges of a side stand s outside
 the drawn ones, where
@@ -14,15 +14,20 @@ printed over the drawn area of the measured ones at the same dose and focus (:mo
 
 The size's dependence on dose separates the clearing dose from the bias, and its dependence on the pillars around, from
 the middle of the lens to its rim, gives the backscatter ratio. The rim gives the microloading too; only the dose
-separates both. Standard errors follow from the residuals.
+separates both.
+
+The fit is Huber's M-estimator (Huber and Ronchetti, *Robust Statistics*, 2009): residuals up to 1.345 standard
+deviations count by their square, larger ones linearly. The standard deviation is that of the median residual. Standard
+errors follow from the residuals, by the estimator's asymptotic covariance. Sizes beyond six standard deviations are
+listed.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +63,16 @@ _HALVINGS = 35
 _MOST_CORRELATED = 0.9999
 #: Reach of an edge outwards (nm).
 _REACH_NM = 100.0
+#: Residual in standard deviations above which Huber's loss is linear: an efficiency of 95 % for normal noise.
+_HUBER = 1.345
+#: Median magnitude of a normal deviation, in standard deviations.
+_MEDIAN = 0.6745
+#: Least standard deviation of a size (nm), below that of any microscope; the printed sizes are exact to 1e-3 nm.
+_LEAST_NOISE_NM = 0.02
+#: Most fits by Huber's loss, each with the standard deviation of the one before, and the change of it that ends them.
+_ROUNDS, _SETTLED = 5, 0.01
+#: Residual in standard deviations above which a size is listed.
+_FAR = 6.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +107,25 @@ class BiasMap:
 
 
 @dataclass(frozen=True)
+class FarSize:
+    """A measured size far from the fit."""
+
+    row: int  #: Number of the measurement, counted from 1 in the order of the lenses or of the table.
+    x_um: float  #: Place of the pillar from the axis of its lens.
+    y_um: float  #: Likewise.
+    side: Literal["width", "length"]  #: The side.
+    measured_nm: float  #: Measured size.
+    fitted_nm: float  #: Fitted size.
+    deviations: float  #: Measured less fitted size in standard deviations.
+
+    def __str__(self) -> str:
+        return (
+            f"row {self.row}, ({self.x_um:g}, {self.y_um:g}) um: {self.side} {self.measured_nm:.1f} nm, "
+            f"{self.measured_nm - self.fitted_nm:+.1f} nm ({self.deviations:+.0f} standard deviations) from the fit"
+        )
+
+
+@dataclass(frozen=True)
 class ProcessFit:
     """Fitted process."""
 
@@ -102,7 +136,8 @@ class ProcessFit:
     microloading_nm: FittedValue  #: Further change of size where the local density is larger by 1.
     convergence_mrad: FittedValue | None  #: Half angle of the beam; None where it is neither stated nor fitted.
     best_focus_um: FittedValue  #: Focus of the smallest blur.
-    residual_rms_nm: float  #: Rms of measured less fitted sizes.
+    residual_rms_nm: float  #: Rms of measured less fitted sizes, without those listed as far.
+    far: tuple[FarSize, ...]  #: Sizes beyond six standard deviations, farthest first.
     sizes: int  #: Number of measured widths and lengths.
     doses: int  #: Number of distinct doses.
     focuses: int  #: Number of distinct focuses.
@@ -160,17 +195,14 @@ def fit_process(
     def residuals(values: FloatArray) -> FloatArray:
         return np.asarray((model.sizes_nm(all_values(values)) - model.measured_nm).ravel())
 
-    found = least_squares(
-        residuals,
-        np.clip(first, _LOW + 1e-3 * np.abs(_LOW), _HIGH - 1e-3 * _HIGH)[chosen],
-        bounds=(_LOW[chosen], _HIGH[chosen]),
-        x_scale="jac",
-        diff_step=[1e-5],
-    )
+    found, deviation_nm = _robust(residuals, first[chosen], _LOW[chosen], _HIGH[chosen])
     _require_inside(found, chosen)
-    square = float((found.fun**2).sum()) / (count - int(chosen.sum()))
     names = [name for name, is_free in zip(PARAMETERS, chosen, strict=True) if is_free]
+    # The Jacobian of Huber's loss is 0 for sizes on its linear part: the share of the others is the mean curvature.
+    slope = np.clip(found.fun, -_HUBER * deviation_nm, _HUBER * deviation_nm)
+    square = float((slope**2).sum()) / (count - int(chosen.sum())) / np.mean(slope == found.fun)
     covariance = square * _covariance(np.asarray(found.jac), names)
+    is_near = np.abs(found.fun) <= _FAR * deviation_nm
     whole = all_values(np.asarray(found.x, dtype=np.float64))
     model.require_within_reach(whole)
     errors = np.full(len(PARAMETERS), np.nan)
@@ -189,14 +221,35 @@ def fit_process(
         microloading_nm=fitted[4],
         convergence_mrad=fitted[5] if known_beam else None,
         best_focus_um=fitted[6],
-        residual_rms_nm=float(np.sqrt(np.mean(found.fun**2))),
+        residual_rms_nm=float(np.sqrt(np.mean(found.fun[is_near] ** 2))),
+        far=_far_sizes(lenses, model.measured_nm, found.fun, deviation_nm),
         sizes=count,
         doses=len(np.unique(np.concatenate([lens.dose for lens in lenses]))),
         focuses=len(focuses),
         largest_correlation=largest,
         correlated=correlated,
-        bias_map=_bias_map(lenses, whole[3] - found.fun.reshape(-1, 2)),
+        bias_map=_bias_map(lenses, whole[3] - found.fun.reshape(-1, 2), is_near),
     )
+
+
+def _robust(
+    residuals: Callable[[FloatArray], FloatArray], start: FloatArray, low: FloatArray, high: FloatArray
+) -> tuple[OptimizeResult, float]:
+    """Fit by Huber's loss; the result and the standard deviation of the residuals, both of the last round.
+
+    The first round is by least squares. The deviation is that of the median magnitude without the smallest ones, one
+    for each parameter, which the fit can bring to 0.
+    """
+    options: dict[str, Any] = {"bounds": (low, high), "x_scale": "jac", "diff_step": [1e-5]}
+    inner = np.clip(start, low + 1e-3 * np.abs(low), high - 1e-3 * high)
+    found, deviation_nm = least_squares(residuals, inner, **options), math.inf
+    for _ in range(_ROUNDS):
+        before_nm, magnitude_nm = deviation_nm, np.sort(np.abs(found.fun))
+        deviation_nm = max(_LEAST_NOISE_NM, float(np.median(magnitude_nm[start.size :])) / _MEDIAN)
+        if abs(deviation_nm - before_nm) < _SETTLED * deviation_nm or _HUBER * deviation_nm >= magnitude_nm[-1]:
+            break
+        found = least_squares(residuals, found.x, loss="huber", f_scale=_HUBER * deviation_nm, **options)
+    return found, deviation_nm
 
 
 class _Model:
@@ -405,18 +458,42 @@ def _largest_correlation(covariance: FloatArray, names: Sequence[str]) -> tuple[
     return float(correlation.max()), (names[one], names[other])
 
 
-def _bias_map(lenses: Sequence[MeasuredLens], bias_nm: FloatArray) -> BiasMap:
-    """Fit mean, tilts and bowl to the bias of each measured size, shape (n, 2).
+def _far_sizes(
+    lenses: Sequence[MeasuredLens], measured_nm: FloatArray, residual_nm: FloatArray, deviation_nm: float
+) -> tuple[FarSize, ...]:
+    """Sizes far from the fit; ``measured_nm`` of shape (n, 2), ``residual_nm``, fitted less measured, flat."""
+    place_um, deviation = 1e3 * _places_mm(lenses), -residual_nm / deviation_nm
+    fitted_nm = measured_nm + residual_nm.reshape(-1, 2)
+    sides: tuple[Literal["width", "length"], ...] = ("width", "length")
+    return tuple(
+        FarSize(
+            row + 1,
+            *(round(float(part), 6) for part in place_um[row]),
+            sides[side],
+            float(measured_nm[row, side]),
+            float(fitted_nm[row, side]),
+            float(deviation[2 * row + side]),
+        )
+        for row, side in (divmod(at, 2) for at in np.argsort(-np.abs(deviation)).tolist())
+        if abs(deviation[2 * row + side]) > _FAR
+    )
+
+
+def _places_mm(lenses: Sequence[MeasuredLens]) -> FloatArray:
+    """Place (x, y) of each measured pillar from the axis of its lens, shape (n, 2)."""
+    return 1e-3 * np.concatenate([
+        np.stack([lens.pillars.lattice.x_um()[lens.place[:, 1]], lens.pillars.lattice.y_um()[lens.place[:, 0]]], axis=1)
+        for lens in lenses
+    ])  # fmt: skip
+
+
+def _bias_map(lenses: Sequence[MeasuredLens], bias_nm: FloatArray, is_near: NDArray[np.bool_]) -> BiasMap:
+    """Fit mean, tilts and bowl to the bias of each measured size, shape (n, 2), where the flat ``is_near`` is set.
 
     A coefficient that the places do not determine is 0 without an error.
     """
-    at_mm = np.concatenate([
-        np.stack([lens.pillars.lattice.x_um()[lens.place[:, 1]], lens.pillars.lattice.y_um()[lens.place[:, 0]]], axis=1)
-        for lens in lenses
-    ]) * 1e-3  # fmt: skip
-    places = np.repeat(at_mm, 2, axis=0)
+    places, values = np.repeat(_places_mm(lenses), 2, axis=0)[is_near], bias_nm.ravel()[is_near]
     square = (places**2).sum(axis=1)
-    values = bias_nm.ravel()
     columns = [np.ones(len(values)), *places.T, square - square.mean()]
     determined = len(values) > 8 and np.linalg.matrix_rank(np.stack(columns, axis=1)) == 4
     design = np.stack(columns if determined else columns[:1], axis=1)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from metafab.core.errors import Fault, InputError
@@ -62,7 +63,9 @@ def fitted_process(
         name: round(float(np.mean(values)), 3) for name, values in measured.further.items() if name in _ETCHED
     }
     etch, unit_cell = _etched(design, means, table)
-    fit = fit_process(_measured_lenses(measured, mask_file, design, start, copy, work), start, free, etch, work)
+    lenses, rows = _measured_lenses(measured, mask_file, design, start, copy, work)
+    fit = fit_process(lenses, start, free, etch, work)
+    fit = replace(fit, far=tuple(replace(size, row=int(rows[size.row - 1]) + 1) for size in fit.far))
     known = "" if start.source == "assumption" else f"{start.source}; "
     source = f"{known}fit of {', '.join(free)} to {fit.sizes} sizes of {table.name} at {fit.doses} doses"
     changes = {"bias_nm": round(fit.bias_nm.value, 4), "microloading_nm": round(fit.microloading_nm.value, 4)}
@@ -85,8 +88,8 @@ def _unfit(design: Design) -> list[Fault]:
 
 def _measured_lenses(
     measured: MeasuredTable, mask_file: Path, design: Design, start: ExposureProcess, copy: int, work: Work
-) -> list[MeasuredLens]:
-    """Rows of a table by lens of the mask and by focus, each with its dose."""
+) -> tuple[list[MeasuredLens], NDArray[np.int64]]:
+    """Rows of a table by lens of the mask and by focus, each with its dose; and their numbers from 0, in that order."""
     rows = len(measured.size_nm)
     numbers = measured.further.get("copy", np.full(rows, float(copy)))
     doses = measured.further.get("dose", np.ones(rows))
@@ -96,7 +99,7 @@ def _measured_lenses(
     if (doses <= 0.0).any() or (numbers != np.rint(numbers)).any():
         expected = "positive doses, and whole numbers of copies"
         raise InputError.single(str(measured.path), "rows", expected, f"dose {doses.min():g}, copy {numbers.min():g}")
-    lenses, range_nm = [], float(beam_psf(start).range_nm.max())
+    lenses, order, range_nm = [], [], float(beam_psf(start).range_nm.max())
     for number in np.unique(numbers).astype(int).tolist():
         (read,), _ = read_lenses(mask_file, design, number, range_nm, work.progress)
         focus_of_lens_um = design.mask.copies[number - 1].focus_um if design.mask.copies else 0.0
@@ -108,7 +111,8 @@ def _measured_lenses(
             part.require_each_once(sites, doses[here])
             exposed = doses[here] * read.dose, part.size_nm, focus_of_lens_um + focus_um
             lenses.append(MeasuredLens(read.pillars, sites, *exposed, beside=around))
-    return lenses
+            order.append(np.flatnonzero(here))
+    return lenses, np.concatenate(order)
 
 
 def process_files(path: Path, fitted: FittedProcess) -> tuple[Path, ...]:
@@ -132,6 +136,7 @@ def save_process(fitted: FittedProcess, path: Path) -> tuple[Path, ...]:
         )
         if value is not None
     ]
+    lines += [f"# far from the fit: {size}" for size in fit.far]
     files = process_files(path, fitted)
     texts = ["\n".join([*lines, ""]) + canonical_toml(fitted.process, path.parent)]
     if fitted.unit_cell is not None:

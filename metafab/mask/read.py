@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from fractions import Fraction
@@ -27,6 +27,7 @@ from metafab.mask.shapes.hierarchy import Chunk, Hierarchy, IntArray, Other, Par
 from metafab.mask.shapes.known import RECTANGLES, KnownShapes
 from metafab.mask.shapes.recover import DUPLICATE, KEPT, OFF_GRID, OFF_SITE, Leftover, Recovery
 from metafab.spec import Design
+from metafab.spec.mask import MOST_DATATYPES
 
 Format = Literal["gds", "oas"]
 
@@ -64,6 +65,8 @@ class ReadBack:
     top_cells: tuple[str, ...]  #: Names of the cells that no other cell places.
     database_unit_nm: float  #: Unit of the file.
     copies: dict[int, PillarMap]  #: Pillars of the other copies that were asked for, by number from 1.
+    #: First and last datatype of the pillars: the design's, or those of the dose classes of a corrected mask.
+    datatypes: tuple[int, int]
 
     def require_pillars_alone(self, remedy: str) -> None:
         """Refuse a file whose pillar layer holds anything else than pillars at sites of the lattice.
@@ -97,7 +100,8 @@ def read(
     repetitions, mirrored or turned by right angles, renamed, in other units.
 
     ``copy`` is a lens of ``mask.copies``, counted from 1; rectangles of the others are counted, and placed where
-    ``along`` has their number. ``known`` recognises pillars among shapes; by default those of the design's
+    ``along`` has their number. A design with ``[process.exposure]`` reads the classes of its corrected mask, however
+    many the file has. ``known`` recognises pillars among shapes; by default those of the design's
     cross-section, upright. ``progress`` gets the number of indexed bytes and of read shapes.
 
     InputError if the file is missing, empty, truncated, damaged or of another kind, or holds far more shapes than the
@@ -120,6 +124,7 @@ class Shapes:
     count: int  #: Number of shapes.
     other_layers: dict[str, int]  #: Number of shapes and texts on other layers, by "layer/datatype".
     top_cells: tuple[str, ...]  #: Names of the cells that no other cell places.
+    datatypes: tuple[int, int]  #: First and last datatype of the pillars, as of :class:`ReadBack`.
     chunks: Callable[[], Iterator[Chunk]]  #: Opens the stream of shapes, in file units; each time from the start.
 
 
@@ -135,18 +140,39 @@ def read_shapes(path: Path, design: Design, progress: Progress = silent, *, know
         count = hierarchy.count()
         _refuse_many(path, count, _most_shapes(design))
         reader.budget.place(count)
-    return Shapes(reader.unit_nm, count, hierarchy.other_layers(), hierarchy.tops, lambda: _chunks(hierarchy, reader))
+    others, datatypes = hierarchy.other_layers(), reader.layer[1:]
+    return Shapes(reader.unit_nm, count, others, hierarchy.tops, datatypes, lambda: _chunks(hierarchy, reader))
 
 
 def _open(
     path: Path, design: Design, progress: Progress, known: KnownShapes, *, skip_blocks: bool
 ) -> GdsiiReader | OasisReader:
-    layer = (design.mask.layer, *design.mask.datatypes)
+    """Index a file; one with the dose classes of a corrected mask a second time, with their datatypes as pillars."""
     is_gdsii = format_of(path) == "gds"
-    budget = Budget(path, _sites(design))
-    if is_gdsii:
-        return GdsiiReader(path, layer, progress, known=known, budget=budget)
-    return OasisReader(path, layer, progress, known=known, skip_blocks=skip_blocks, budget=budget)
+
+    def opened(datatypes: tuple[int, int]) -> GdsiiReader | OasisReader:
+        layer, budget = (design.mask.layer, *datatypes), Budget(path, _sites(design))
+        if is_gdsii:
+            return GdsiiReader(path, layer, progress, known=known, budget=budget)
+        return OasisReader(path, layer, progress, known=known, skip_blocks=skip_blocks, budget=budget)
+
+    reader = opened(design.mask.datatypes)
+    datatypes = _datatypes(design, Hierarchy(reader.cells, str(path)).other_layers())
+    return reader if datatypes == design.mask.datatypes else opened(datatypes)
+
+
+def _datatypes(design: Design, other_layers: Iterable[str]) -> tuple[int, int]:
+    """First and last datatype of the pillars in a file, which holds ``other_layers`` beside those of the design.
+
+    The correction of doses draws each class on a datatype of its own; nothing else is drawn on the pillar layer.
+    """
+    first, last = design.mask.datatypes
+    process = None if design.process is None else design.process.exposure
+    if process is None or process.correction != "dose":
+        return first, last
+    names = (name.partition("/") for name in other_layers)
+    found = [int(kind) for layer, _, kind in names if layer == str(design.mask.layer) and kind.isdigit()]
+    return first, max((kind for kind in found if first <= kind < first + MOST_DATATYPES), default=last)
 
 
 def _recover(
@@ -221,6 +247,7 @@ def _recover(
         top_cells=hierarchy.tops,
         database_unit_nm=unit_nm,
         copies={number: placed(found) for number, found in recoveries.items()},
+        datatypes=reader.layer[1:],
     )
 
 

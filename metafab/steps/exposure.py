@@ -240,8 +240,7 @@ def write_corrected(
 
     Each lens of ``mask.copies`` has doses of its own, in common classes. The table has the columns ``datatype``,
     ``dose_over_base_dose`` and, for several lenses, ``copies``, the numbers of those that use the datatype. With
-    ``dose_datatypes``, ``doses.gds`` has the doses in thousandths as datatypes. A design with ``[mask.dose]``,
-    ``by = "proximity"`` and as many classes reads the mask back.
+    ``dose_datatypes``, ``doses.gds`` has the doses in thousandths as datatypes. The same design reads the mask back.
     """
     from metafab import mask
 

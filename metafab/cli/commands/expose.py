@@ -180,6 +180,7 @@ def process_fit_command(
         if file.is_file() and any(file.samefile(each) for each in read):
             raise InputError.single("--output", "output", "files of its own", f"{file}, which is read", "name another")
     files = save_process(fitted, path)
+    announce(f"hardly counts: {size}" for size in fitted.fit.far)
     if fitted.fit.largest_correlation > 0.99:
         one, other = fitted.fit.correlated
         announce([f"{one} and {other} are hardly told apart (correlation {fitted.fit.largest_correlation:.3f})"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -27,6 +28,8 @@ def beam_psf(process: ExposureProcess, focus_um: float | None = None) -> BeamPsf
     """
     if process.preset is not None:
         plain = preset(process.preset)
+        if process.source != ExposureProcess.source:
+            plain = replace(plain, source=f"{plain.source}; {process.source}")
     elif process.terms:
         plain = BeamPsf.of(process.terms, process.source)
     else:

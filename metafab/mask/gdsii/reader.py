@@ -87,7 +87,7 @@ class GdsiiReader:
         self.is_counted = True
         self._path = path
         self._known = known
-        self._layer = layer
+        self.layer = layer
         self.unit_nm = 0.0
         self.cells: dict[str, Cell] = {}
         self._size = path.stat().st_size
@@ -165,7 +165,7 @@ class GdsiiReader:
             layer = int.from_bytes(fields[records.LAYER], "big", signed=True)
             kinds = (fields[kind] for kind in records.DATATYPES if kind in fields)
             datatype = int.from_bytes(next(kinds)[:2], "big", signed=True)
-            wanted, first, last = self._layer
+            wanted, first, last = self.layer
             if layer == wanted and first <= datatype <= last and kind != records.TEXT:
                 cell.shape_count += count
                 runs.append(run)

@@ -40,10 +40,9 @@ def design_file(path: Path, source: Path, further: str, **replaced: str) -> Path
 
 @pytest.fixture(scope="module")
 def folder(smooth_library: Library, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A lens 40 um wide: ``layout.oas``, ``design.toml``, and ``read.toml`` for the corrected mask."""
+    """A lens 40 um wide: ``layout.oas`` and its ``design.toml``."""
     folder = tmp_path_factory.mktemp("lens")
-    for name, further in (("design.toml", PROCESS), ("read.toml", PROCESS + READ_BACK)):
-        design_file(folder / name, SMALL, further, aperture_um="40.0", formats='["oas"]')
+    design_file(folder / "design.toml", SMALL, PROCESS, aperture_um="40.0", formats='["oas"]')
     design = load_design(folder / "design.toml")
     profile = PhaseProfile((OffAxisLens(1000.0, 0.8, 140.0),))
     mask.write(layout.assign(profile, smooth_library, design).pillars, folder, design)
@@ -68,8 +67,8 @@ def test_figures_and_the_corrected_mask(folder: Path, tmp_path: Path) -> None:
     assert sum(term["weight"] for term in terms) == pytest.approx(1.0)
     assert {"kind", "weight", "range_nm"} <= terms[0].keys()
 
-    before = mask.read(folder / "layout.oas", load_design(folder / "design.toml")).pillars
-    after = mask.read(tmp_path / "layout.oas", load_design(folder / "read.toml")).pillars
+    design = load_design(folder / "design.toml")
+    before, after = (mask.read(path / "layout.oas", design).pillars for path in (folder, tmp_path))
     assert np.array_equal(sizes_at_sites(after), sizes_at_sites(before))
     rows = list(csv.DictReader((tmp_path / "doses.csv").read_text(encoding="utf-8").splitlines()))
     assert [int(row["datatype"]) for row in rows] == list(range(16))
@@ -89,8 +88,12 @@ def test_figures_and_the_corrected_mask(folder: Path, tmp_path: Path) -> None:
     assert kept.mask_sha256 == file_sha256(folder / "layout.oas")
     assert kept.plain.figures.cd_error_rms_nm == plain.json["cd_error_rms_nm"]
     assert kept.corrected.figures.cd_error_rms_nm == corrected.json["cd_error_rms_nm"]
-    checked = metafab("drc", tmp_path / "layout.oas", "--design", folder / "read.toml", "--json")
-    assert (checked.code, checked.json["pillars"]) == (0, corrected.json["pillars"]), checked.stderr
+    # The design of the plain mask reads its classes too, however many the file has.
+    for engine in ("lattice", "rectangles", "polygons"):
+        by = ("--design", folder / "design.toml", "--engine", engine, "--json")
+        checked = metafab("drc", tmp_path / "layout.oas", *by)
+        assert (checked.code, checked.json["pillars"]) == (0, corrected.json["pillars"]), checked.stderr
+        assert checked.json["other_layers"] == {}
 
 
 def _rectangles(path: Path, doses: Path) -> FloatArray:
@@ -303,15 +306,19 @@ def test_measured_sizes_become_a_process_file_that_a_design_uses(folder: Path, t
     exposed = metafab("expose", mask_file, "--design", design, "--sample", "40", "--sample-csv", table, "--json")
     assert exposed.code == 0, exposed.stderr
     lines = ["x_um,y_um,width_nm,length_nm,height_nm,sidewall_angle_deg"]
-    for row in csv.DictReader(table.open(encoding="utf-8")):
+    for number, row in enumerate(csv.DictReader(table.open(encoding="utf-8"))):
         sizes = [float(row[f"printed_{side}_nm"]) - 3.0 for side in ("width", "length")]
-        lines.append(f"{row['x_um']},{row['y_um']},{sizes[0]},{sizes[1]},590.0,88.0")
+        lines.append(f"{row['x_um']},{row['y_um']},{sizes[0] + 60.0 * (number == 6)},{sizes[1]},590.0,88.0")
     (tmp_path / "cd.csv").write_text("\n".join(lines), encoding="utf-8")
     common = ("process", "fit", tmp_path / "cd.csv", mask_file, "--design", design, "-o", process, "--json")
     answer = metafab(*common, "--free", "bias")
     assert answer.code == 0, answer.stderr
     assert answer.json["bias_nm"]["value"] == pytest.approx(-3.0, abs=0.02)
     assert answer.json["base_over_clearing_dose"] == {"value": 2.0, "error": None}
+    (far,) = answer.json["far"]
+    assert (far["row"], far["side"]) == (7, "width")
+    assert far["measured_nm"] - far["fitted_nm"] == pytest.approx(60.0, abs=0.1)
+    assert "hardly counts: row 7" in answer.stderr and "# far from the fit: row 7" in process.read_text("utf-8")
     source = SMALL.read_text(encoding="utf-8").replace("../unitcell_lib", str(ROOT / "unitcell_lib"))
     (tmp_path / "next.toml").write_text(f'process = "process.toml"\n{source}', encoding="utf-8")
     made = load_design(tmp_path / "next.toml").process
@@ -319,6 +326,7 @@ def test_measured_sizes_become_a_process_file_that_a_design_uses(folder: Path, t
     assert made.etch.bias_nm == pytest.approx(answer.json["bias_nm"]["value"], abs=1e-4)
     assert (made.etch.height_nm, made.etch.sidewall_angle_deg) == (590.0, 88.0)
     assert made.exposure.preset == "hsq_sos_100kv"
+    assert exposure.beam_psf(made.exposure).source.endswith("; fit of bias to 80 sizes of cd.csv at 1 doses")
     assert load_unit_cell(tmp_path / "process_cell.toml").cell.height_nm == 590.0
     refused = metafab(*common, "--free", "contrast")
     assert refused.code == 2
