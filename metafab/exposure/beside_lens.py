@@ -92,10 +92,10 @@ def read_lenses(
     along = sorted({other for near in reach.values() for other in near} - {copy})
     back = mask.read(path, design, progress=progress, copy=copy, along=along)
     back.require_pillars_alone("their exposure cannot be simulated; `metafab drc` lists their places")
-    others = [name for name in back.other_layers if name.split("/")[0] == str(layer)]
-    if others or back.datatypes != design.mask.datatypes:
+    further = [name for name in back.other_layers if name.split("/")[0] == str(layer)]
+    if further or back.datatypes != design.mask.datatypes:
         expected = f"pillars on layer {layer}, datatype {design.mask.datatype} alone"
-        got = ", ".join(others) or "those of dose classes, datatypes {} to {}".format(*back.datatypes)
+        got = ", ".join(further) or "those of dose classes, datatypes {} to {}".format(*back.datatypes)
         raise InputError.single(str(path), "layers", expected, got, "expose the mask without dose classes")
     if together:
         _require_equal(back)

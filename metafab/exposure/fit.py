@@ -468,7 +468,8 @@ def _far_sizes(
     return tuple(
         FarSize(
             row + 1,
-            *(round(float(part), 6) for part in place_um[row]),
+            round(float(place_um[row, 0]), 6),
+            round(float(place_um[row, 1]), 6),
             sides[side],
             float(measured_nm[row, side]),
             float(fitted_nm[row, side]),
