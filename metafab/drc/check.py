@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from metafab.core.errors import InputError
+from metafab.core.parallel.progress import Progress
 from metafab.core.parallel.work import Work
 from metafab.drc.lattice import check_lattice
 from metafab.drc.rectangles import check_rectangles
 from metafab.drc.report import DrcReport
-from metafab.mask import read
+from metafab.mask import ReadBack, read
 from metafab.spec import Design
 
 
-def check(path: Path, design: Design, *, engine: str = "lattice", work: Work = Work(), copy: int = 1) -> DrcReport:
+def check(
+    path: Path,
+    design: Design,
+    *,
+    engine: str = "lattice",
+    work: Work = Work(),
+    copy: int = 1,
+    reader: Callable[[Path, Design, Progress, int], ReadBack] = read,
+) -> DrcReport:
     """Check a GDSII or OASIS file; nothing but the file is read.
 
     Args:
@@ -27,13 +37,14 @@ def check(path: Path, design: Design, *, engine: str = "lattice", work: Work = W
             (``polygons``; they must find the file at the same path). ``rectangles`` is one stream and runs here.
         copy: lens of ``mask.copies`` that ``lattice`` checks, counted from 1; the others are counted. The two engines
             without a lattice check all of them.
+        reader: reads the file for ``lattice``; :func:`metafab.mask.read_shared` where later steps need it, too.
 
     Raises:
         InputError: the file cannot be read as a mask, or the engine is unknown.
     """
     start = time.perf_counter()
     if engine == "lattice":
-        report = check_lattice(read(path, design, work.progress, copy), design, work)
+        report = check_lattice(reader(path, design, work.progress, copy), design, work)
     elif engine == "rectangles":
         report = check_rectangles(path, design, work)
     elif engine == "polygons":

@@ -23,7 +23,7 @@ from metafab.mask.drawing.cells import top_name
 from metafab.mask.drawing.include import shapes_beside
 from metafab.mask.exchange import from_gdstk
 from metafab.mask.plan import announcement, plan
-from metafab.mask.read import ReadBack, read, read_shapes
+from metafab.mask.read import ReadBack, read, read_shapes, read_shared
 from metafab.mask.write import WrittenFile, biased, table_names, write
 
 __all__ = [
@@ -34,6 +34,7 @@ __all__ = [
     "plan",
     "from_gdstk",
     "read_shapes",
+    "read_shared",
     "biased",
     "announcement",
     "shapes_beside",

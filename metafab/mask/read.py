@@ -16,6 +16,7 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.latest import Latest, file_mark
 from metafab.core.storage.limits import beyond, limit, limited
 from metafab.layout import Outline, PillarMap, lattice_of, tile_sites
 from metafab.mask.budget import Budget
@@ -114,6 +115,20 @@ def read(
         except MixedBlockError:
             reader = _open(path, design, progress, known, skip_blocks=False)
             return _recover(path, reader, design, progress, copy, along)
+
+
+#: The file that was read last.
+_LATEST: Latest[ReadBack] = Latest()
+
+
+def read_shared(path: Path, design: Design, progress: Progress = silent, copy: int = 1) -> ReadBack:
+    """Return :func:`read` of a file; what was read last is kept, and shared by all callers, who must not change it.
+
+    The rules, the light and the page of a run need the same file.
+    """
+    if not path.is_file():
+        return read(path, design, progress, copy)  # which refuses it
+    return _LATEST.of((path, file_mark(path), design, copy), lambda: read(path, design, progress, copy))
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import POLARISATIONS, FloatArray, image_distance_mm, wrap_phase
 from metafab.core.errors import Fault, InputError
 from metafab.core.figures import PhaseFigures
+from metafab.core.numeric.phasor import phasor
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.latest import Latest, file_mark
 from metafab.core.storage.pictures import read_grey
@@ -22,7 +23,7 @@ from metafab.phase.optimise.blind import BlindDesign, BlindInformation, optimise
 from metafab.phase.optimise.peak import PeakDesign, optimise_peak
 from metafab.phase.optimise.rotation import helix_half_width, main_lobe, ring_rotation, rotation_deg_per_dioptre
 from metafab.phase.optimise.side_lobes import SideLobeDesign, limit_side_lobes
-from metafab.phase.pupil import Pupil, phasor, pupil_field, rim_defocus_rad
+from metafab.phase.pupil import Pupil, pupil_field, rim_defocus_rad
 from metafab.phase.terms.carriers import AxiconPhase, GratingPhase, LensPhase, SplitLensPhase
 from metafab.phase.terms.helices import DoubleHelixPhase, SpiralZonesPhase, VortexPhase, spiral_field
 from metafab.phase.terms.hologram import ImagePlane, design_hologram

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
+from metafab.core.numeric.phasor import phasor
 from metafab.phase.terms.profile import Term
 
 Outline: TypeAlias = Literal["circle", "square", "ring", "polygon"]
@@ -37,11 +38,6 @@ def rim_defocus_rad(
 def rim_defocus_per_dioptre_rad(aperture_radius_um: float, wavelength_um: float) -> float:
     """Rim defocus of one dioptre, k R^2 / 2: 3.93 rad for R = 1 mm at 800 nm."""
     return math.pi * aperture_radius_um**2 / wavelength_um * 1e-6
-
-
-def phasor(phase_rad: FloatArray) -> ComplexArray:
-    """Return exp(i phase), for any shape."""
-    return np.asarray(np.exp(1j * phase_rad), dtype=np.complex128)
 
 
 @dataclass(frozen=True)

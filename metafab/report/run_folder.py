@@ -163,7 +163,7 @@ def open_run(path: Path) -> RunFolder:
     masks = [path / name for name in _MASK_FILES if (path / name).is_file()] or [path / _MASK_FILES[0]]
     pillars = None
     if design is not None:
-        pillars = _attempt(notes, "mask", masks[0], lambda file: mask.read(file, design).pillars)
+        pillars = _attempt(notes, "mask", masks[0], lambda file: mask.read_shared(file, design).pillars)
     else:
         notes["mask"] = "reading a mask needs design.toml"
     patch_file = path / "patch.h5"

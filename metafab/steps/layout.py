@@ -151,7 +151,7 @@ def _check_rules(job: Job) -> DrcFigures:
     from metafab import drc, mask
 
     work = job.work
-    reports = [drc.check(path, job.design, work=work) for path in mask_paths(job)]
+    reports = [drc.check(path, job.design, work=work, reader=mask.read_shared) for path in mask_paths(job)]
     drc.save(reports, job.folder, mask.top_name(job.design.name))
     first = reports[0]
     worst = {rule: max(report.violations[rule] for report in reports) for rule in first.violations}

@@ -258,7 +258,7 @@ def _read_pillars(job: Job, path: Path, copy: int, angles: int | None) -> Pillar
 
     progress = job.work.progress
     if angles is None:
-        back = mask.read(path, job.design, progress=progress, copy=copy)
+        back = mask.read_shared(path, job.design, progress, copy)
     else:
         back = read_turned(path, job.design, angles, progress=progress, copy=copy)
     back.require_pillars_alone("their light cannot be simulated; `metafab drc` lists their places")

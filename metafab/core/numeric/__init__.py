@@ -6,6 +6,7 @@
 - ``bicubic_spline``  bicubic splines on tiles, and their errors
 - ``bilinear``        bilinear interpolation on a centred grid
 - ``chebyshev``       interpolation between Chebyshev points
+- ``phasor``          exp(i phase) of many phases
 - ``peaks``           maxima between samples
 - ``spectra``         discrete Fourier transforms of kernels and filters
 - ``distance``        exact Euclidean distance transform

@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.figures import Loss, Wavefront
+from metafab.core.numeric.phasor import phasor
 from metafab.library.library import Library
 from metafab.optics.sources.neighbours import NeighbourField
 from metafab.optics.sources.source import WrittenField
@@ -41,7 +42,7 @@ def wavefront(
         half, inside = row % 2, inside + site_target_rad.shape[1]
         lit = site_amplitude.any(axis=0)
         amplitude, target_rad = site_amplitude[:, lit], site_target_rad[:, lit]
-        sums[half] += np.sum(amplitude * np.exp(-1j * target_rad), axis=1)
+        sums[half] += np.sum(amplitude * phasor(-target_rad), axis=1)
         powers[half] += np.sum(np.abs(amplitude) ** 2, axis=1)
         counts[half] += target_rad.shape[1]
         targets.append(target_rad[:, :: max(1, target_rad.shape[1] // 64)])
@@ -154,7 +155,7 @@ def _best_overlap(written: WrittenField | NeighbourField, target_rad: FloatArray
     (x, y), none = target_rad, np.zeros(target_rad.shape[1])
     wanted = np.stack([np.cos(x), np.sin(x), np.cos(y), np.sin(y), none], axis=1)
     chosen = t[tree.query(wanted)[1]].T
-    coherent = np.abs((chosen * np.exp(-1j * target_rad)).mean(axis=1)) ** 2
+    coherent = np.abs((chosen * phasor(-target_rad)).mean(axis=1)) ** 2
     return np.asarray(coherent / (np.abs(chosen) ** 2).mean(axis=1))
 
 

@@ -15,10 +15,11 @@ from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.numeric.phasor import phasor
 from metafab.core.parallel.progress import Progress, silent
 from metafab.information.texture import Texture
 from metafab.information.twin_images import conjugate_information
-from metafab.phase.pupil import NyquistImages, Pupil, nyquist_scale, phasor
+from metafab.phase.pupil import NyquistImages, Pupil, nyquist_scale
 from metafab.phase.terms.sampled import SampledMask
 
 

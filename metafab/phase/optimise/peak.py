@@ -20,10 +20,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
+from metafab.core.numeric.phasor import phasor
 from metafab.core.parallel.progress import Progress, silent
 from metafab.phase.optimise.bound import PeakBound, peak_bound, worst_peak_bound
 from metafab.phase.optimise.rotation import MainLobe, full_turn_defocus_rad, helix_half_width, main_lobe
-from metafab.phase.pupil import Outline, Pupil, phasor
+from metafab.phase.pupil import Outline, Pupil
 from metafab.phase.terms.helices import WaveSumPhase, spiral_field
 
 #: Smallest radius of the lobe over that of the plain spiral's. Nearer to the centre the lobe would be brighter, but its

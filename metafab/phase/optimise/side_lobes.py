@@ -18,10 +18,11 @@ from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.numeric.phasor import phasor
 from metafab.core.parallel.progress import Progress, silent
 from metafab.phase.optimise.peak import PeakDesign, target_waves
 from metafab.phase.optimise.rotation import MainLobe, helix_half_width, main_lobe
-from metafab.phase.pupil import FocalPlane, Pupil, phasor
+from metafab.phase.pupil import FocalPlane, Pupil
 from metafab.phase.terms.helices import spiral_field
 from metafab.phase.terms.sampled import SampledMask
 

@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike
 from scipy import fft
 
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
+from metafab.core.numeric.phasor import phasor
 from metafab.information.texture import PointSource, Texture
 from metafab.information.twin_images import twin_information
-from metafab.phase.pupil import NyquistImages, Pupil, phasor, pupil_field, rim_defocus_per_dioptre_rad, rim_defocus_rad
+from metafab.phase.pupil import NyquistImages, Pupil, pupil_field, rim_defocus_per_dioptre_rad, rim_defocus_rad
 from metafab.phase.terms.helices import DoubleHelixPhase, SpiralZonesPhase
 from metafab.phase.terms.profile import Term
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray, image_distance_mm, sensor_distance_um
+from metafab.core.numeric.phasor import phasor
 from metafab.information.texture import PointSource, Texture
 from metafab.phase.optimise.rotation import (
     MainLobe,
@@ -19,7 +20,7 @@ from metafab.phase.optimise.rotation import (
     main_lobe,
     rotation_deg_per_dioptre,
 )
-from metafab.phase.pupil import Pupil, phasor, rim_defocus_per_dioptre_rad, rim_defocus_rad
+from metafab.phase.pupil import Pupil, rim_defocus_per_dioptre_rad, rim_defocus_rad
 from metafab.phase.studies.bandwidth import BandwidthBudget, SplitImaging, bandwidth_budget
 from metafab.phase.studies.compare import DepthBounds, compare_masks, reference_masks
 from metafab.phase.terms.carriers import without_carriers

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,15 +51,26 @@ def angles_of_waves(
         slope_rad: largest slope of the phase of any wave along y, rad per unit of y.
     """
     panels = 2 ** math.ceil(math.log2(max(slope_rad, _FEWEST_PANELS)))
-    panel = np.clip(np.floor(y * panels), -panels, panels - 1)
-    used, which = np.unique(panel, return_inverse=True)
-    points = np.cos((np.arange(_POINTS) + 0.5) * (np.pi / _POINTS))
-    sums = along_y(((used[:, None] + 0.5 + 0.5 * points) / panels).ravel()) @ weighted_x.T
-    basis = _lagrange(2.0 * (y * panels - panel) - 1.0, points)
+    places, first, basis = _interpolation(np.ascontiguousarray(y).tobytes(), panels)
+    sums = along_y(places) @ weighted_x.T
     out = np.empty((y.size, len(weighted_x)))
     real, imag = np.ascontiguousarray(sums.real), np.ascontiguousarray(sums.imag)
-    _interpolated_angles(which * _POINTS, basis, real, imag, out)
+    _interpolated_angles(first, basis, real, imag, out)
     return out
+
+
+@lru_cache(maxsize=8)
+def _interpolation(y: bytes, panels: int) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
+    """Points of the panels that hold positions y, the first point of each position, and its weights of the points.
+
+    Tiles in a row of the lens have the same y, which costs more here than the sums of a tile.
+    """
+    position = np.frombuffer(y) * panels
+    panel = np.clip(np.floor(position), -panels, panels - 1)
+    used, which = np.unique(panel, return_inverse=True)
+    points = np.cos((np.arange(_POINTS) + 0.5) * (np.pi / _POINTS))
+    places = ((used[:, None] + 0.5 + 0.5 * points) / panels).ravel()
+    return places, which * _POINTS, _lagrange(2.0 * (position - panel) - 1.0, points)
 
 
 def _lagrange(position: FloatArray, points: FloatArray) -> FloatArray:

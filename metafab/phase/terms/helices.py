@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.special import binom
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
-from metafab.phase.pupil import Pupil, phasor, pupil_field
+from metafab.core.numeric.phasor import phasor
+from metafab.phase.pupil import Pupil, pupil_field
 from metafab.phase.terms.angles import angle, angles_of_waves
 from metafab.phase.terms.profile import PolarisedTerm
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
 from metafab.core.figures import PhaseFigures
+from metafab.core.numeric.phasor import phasor
 
 
 class Term(Protocol):
@@ -68,4 +69,4 @@ class PhaseProfile:
 
     def transmission(self, x_um: FloatArray, y_um: FloatArray) -> ComplexArray:
         """Evaluate exp(i phase), shape (2, n_y, n_x), at positions of shapes (n_x,) and (n_y,) from the axis."""
-        return np.asarray(np.exp(1j * self(x_um, y_um)))
+        return phasor(self(x_um, y_um))

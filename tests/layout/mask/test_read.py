@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -249,3 +250,15 @@ def test_odd_nanometres_are_exact_at_half_a_nanometre(tiny: Assignment, tiny_des
     for suffix in FORMATS:
         read_back = mask.read(tmp_path / f"layout.{suffix}", tiny_design)
         assert np.array_equal(sizes_at_sites(read_back.pillars), size_dbu[index])
+
+
+def test_a_file_is_read_once_until_it_changes(tiny_design: Design, tiny_files: dict[str, Path], tmp_path: Path) -> None:
+    path = tmp_path / "layout.oas"
+    path.write_bytes(tiny_files["oas"].read_bytes())
+    os.utime(path, ns=(0, 0))
+    back = mask.read_shared(path, tiny_design)
+    assert mask.read_shared(path, tiny_design) is back
+    assert mask.read_shared(path, replace(tiny_design, name="another")) is not back
+    path.write_bytes(b"damaged")
+    with pytest.raises(InputError):
+        mask.read_shared(path, tiny_design)
