@@ -90,6 +90,7 @@ class ElectronHistogram:
     statistical_error: FloatArray  #: Shape (n,), relative standard error of ``density``.
     backscattered: float  #: Share of electrons that leave through the surface with more than 0.5 keV.
     deposited_kev: float  #: Mean energy deposited in the resist per electron.
+    depth_nm: FloatArray  #: Shape (electrons,), largest depth of each electron: beyond a foil's thickness it leaves it.
     electrons: int  #: Number of histories.
 
 
@@ -140,9 +141,11 @@ def simulate(
     batches = -(-electrons // _BATCH)
     bins = _BINS_PER_DECADE * _DECADES
     deposited = np.zeros((batches, bins))
-    left = np.zeros(batches)
+    left, depth_nm = np.zeros(batches), np.zeros((batches, _BATCH))
     with kept_threads():
-        spread(_run, batches, number, per_nm3, excitation_kev, bottom, beam_kev, seed, resist, deposited, left)
+        spread(
+            _run, batches, number, per_nm3, excitation_kev, bottom, beam_kev, seed, resist, deposited, left, depth_nm
+        )
     edges = 10.0 ** (np.arange(bins + 1) / _BINS_PER_DECADE)
     edges[0] = 0.0
     area = math.pi * np.diff(edges**2)
@@ -154,6 +157,7 @@ def simulate(
         statistical_error=np.divide(deviation, mean, out=np.ones(bins), where=mean > 0.0),
         backscattered=float(left.sum() / (batches * _BATCH)),
         deposited_kev=float(mean.sum() / _BATCH),
+        depth_nm=depth_nm.ravel(),
         electrons=batches * _BATCH,
     )
 
@@ -304,10 +308,11 @@ def _run(
     resist: int,
     deposited: FloatArray,
     left: FloatArray,
+    depth_nm: FloatArray,
 ) -> None:
     for batch in range(first, behind):
         np.random.seed(seed * 1_000_003 + batch)
-        for _ in range(_BATCH):
+        for history in range(_BATCH):
             energy, x, y, z = beam_kev, 0.0, 0.0, 0.0
             cx, cy, cz = 0.0, 0.0, 1.0
             layer = 0
@@ -326,6 +331,7 @@ def _run(
                         deposited[batch, place] += lost
                 energy -= lost
                 x, y, z = x + step * cx, y + step * cy, z + step * cz
+                depth_nm[batch, history] = max(depth_nm[batch, history], z)
                 if crossed != 0:
                     layer += crossed
                     if layer < 0:
