@@ -2,7 +2,9 @@
 
 The field behind the pillars is cut into blocks. The Fourier transform of a block gives its plane waves; each of them is
 a ray from the block to the sensor. Blocks of the side sqrt(wavelength x distance), a Fresnel zone, spread the light by
-their side and by their diffraction alike, which is the resolution of the map.
+their side and by their diffraction alike, which is the resolution of the map. The direction of a wave is not that of its
+bin but the step of its phase to the block one site on (frequency reassignment, Auger and Flandrin 1995): bins and side
+lobes of one beam land at one point, also where steep beams spread a bin over hundreds of micrometres.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ from heapq import nlargest
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.optics.geometry.imaging import Imaging, Tangent
 from metafab.optics.geometry.path import Ray, path_um
 from metafab.optics.point_spread import Psf
@@ -101,13 +103,6 @@ def _landings(
     pitch = [1e-3 * period * lattice.database_unit_nm for period in lattice.period_dbu]
     sites = int(np.clip(round(block_um / max(pitch)), _FEWEST_SITES, _MOST_SITES))
     every = max(1, math.isqrt(math.ceil(x_um.size * y_um.size / sites**2 / _MOST_BLOCKS)))
-    cosines = [imaging.wavelength_um * np.fft.fftfreq(sites, step) for step in pitch]
-    along = np.sqrt(np.maximum(0.0, 1.0 - cosines[0][None, :] ** 2 - cosines[1][:, None] ** 2))
-    lit = along > 1.0 / _REACH
-    shift_x, shift_y = (
-        imaging.sensor_distance_um * np.broadcast_to(c, along.shape)[lit] / along[lit]
-        for c in (cosines[0][None, :], cosines[1][:, None])
-    )
     for tile in source.tiles():
         amplitude = tile.amplitude(polarisation)
         for top, left in _corners(amplitude, sites, every):
@@ -118,8 +113,26 @@ def _landings(
             y = y_um[tile.row + top : tile.row + top + block.shape[0]]
             # The incident wave: the path to the sensor point is the same for the whole wave and drops out.
             incident = np.exp(1j * k * _incident_um(x[None, :], y[:, None], ray))
-            power = np.abs(np.fft.fft2(block * incident, (sites, sites))[lit]) ** 2
-            yield x.mean() + shift_x, y.mean() + shift_y, power
+            cosines, power = _plane_waves(block * incident, sites, imaging.wavelength_um / np.array(pitch))
+            along = np.sqrt(np.maximum(0.0, 1.0 - (cosines**2).sum(axis=0)))
+            lit = along > 1.0 / _REACH
+            if lit.any():
+                shift_x, shift_y = imaging.sensor_distance_um * cosines[:, lit] / along[lit]
+                yield x.mean() + shift_x, y.mean() + shift_y, power[lit]
+
+
+def _plane_waves(block: ComplexArray, sites: int, steepest: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Direction cosines along x and y, shape (2, n, n), and powers, shape (n, n), of the plane waves of a block.
+
+    ``steepest`` is the wavelength over the pitch along x and y, the cosine of a phase of 2 pi a site.
+    """
+    # A single row has no step to the next one: it counts as even along y.
+    block = np.pad(block, [(0, max(0, 2 - count)) for count in block.shape], mode="edge")
+    corners = np.stack([block[:-1, :-1], block[:-1, 1:], block[1:, :-1]])
+    # The same sites of all three, or the outline of the aperture would count as a step.
+    here, *steps = np.fft.fft2(corners * (corners != 0.0).all(axis=0), (sites, sites))
+    cosines = [turn * np.angle(step * here.conj()) for turn, step in zip(steepest / (2.0 * np.pi), steps, strict=True)]
+    return np.array(cosines), np.abs(here) ** 2
 
 
 def _corners(amplitude: NDArray[np.complexfloating], sites: int, every: int) -> list[tuple[int, int]]:

@@ -12,7 +12,7 @@ import pytest
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.spec import Design, load_design, write_new
-from metafab.spec.terms import UserArray, Zernike
+from metafab.spec.terms import Grating, UserArray, Zernike
 from metafab.steps.job import Job
 from metafab.steps.optics import PairFigures, point_spread
 
@@ -75,6 +75,18 @@ def test_light_that_misses_the_window_is_found(tmp_path: Path, side: float) -> N
     there = _figures(design, tmp_path, centre_um=figures.light_at_um[0])
     assert min(there.efficiency_x) > 0.6
     assert there.light_at_um is None
+
+
+@pytest.mark.parametrize("angle_deg", [30.0, 70.0])
+def test_a_steep_beam_lands_at_the_tangent_of_its_angle(tmp_path: Path, angle_deg: float) -> None:
+    """Bins of the transform would put the beam of 70 degrees 180 um beside its place."""
+    design = load_design(write_new("own", "deflector", tmp_path)[0])
+    design = replace(design, phase=(Grating(angle_deg=angle_deg, azimuth_deg=0.0),))
+    design = replace(design, sensor=replace(design.sensor, pixel_um=0.4))
+    figures = _figures(design, tmp_path, centre_um=(-100.0, 0.0))
+    assert figures.light_at_um is not None
+    expected = (SENSOR_UM * math.tan(math.radians(angle_deg)), 0.0)
+    assert figures.light_at_um[0] == pytest.approx(expected, abs=0.01)
 
 
 @pytest.mark.parametrize("amplitude_rad", [None, 30.0])
