@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,9 @@ from metafab.layout import PillarMap
 COLUMNS = ("x_um", "y_um", "width_nm", "length_nm")
 #: Largest median ratio of measured and drawn sizes: beyond it the unit is wrong.
 _LARGEST_RATIO = 5.0
+#: Largest median distance of the places from their pillars along an axis, periods: beyond it, some have the size of the
+#: next one. Sizes belong to pillars a site on if they spread half as much about those, of at least as many pillars.
+_LARGEST_OFFSET, _BETTER, _ENOUGH = 0.25, 0.5, 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +42,7 @@ class MeasuredTable:
     def sites(self, pillars: PillarMap) -> NDArray[np.int64]:
         """Row and column of the pillar at each place, within half a pitch: shape (n, 2).
 
-        InputError if no pillar stands at a place, or the sizes cannot be in nm.
+        InputError if no pillar stands at a place, the sizes cannot be in nm, or the places as a whole are shifted.
         """
         axes = pillars.lattice.y_um(), pillars.lattice.x_um()
         pitch_um = [1e-3 * period * pillars.lattice.database_unit_nm for period in pillars.lattice.period_dbu[::-1]]
@@ -56,7 +61,42 @@ class MeasuredTable:
         if not 1.0 / _LARGEST_RATIO < ratio < _LARGEST_RATIO:
             got = f"sizes that are {ratio:.3g} times those in the median"
             raise InputError.single(str(self.path), "sizes", "sizes near the drawn ones, in nm", got, "check the unit")
-        return np.stack([row, column], axis=1)
+        sites = np.stack([row, column], axis=1)
+        self._require_unshifted(pillars, sites, np.array(pitch_um), np.stack(exact, axis=1) - sites)
+        return sites
+
+    def _require_unshifted(
+        self, pillars: PillarMap, sites: NDArray[np.int64], pitch_um: FloatArray, off: FloatArray
+    ) -> None:
+        """Refuse places that lie beside their pillars in the median, or whose sizes are those of pillars a site on.
+
+        ``pitch_um`` along y and x; ``off`` of the places from ``sites``, periods, shape (n, 2), y and x.
+        """
+        index, drawn_nm, last = pillars.to_array(), pillars.size_nm(), np.array(pillars.lattice.shape) - 1
+
+        def spread_nm(step: tuple[int, int]) -> float:
+            """Mean deviation of measured less drawn sizes from their median, of the pillars a step beside ``sites``."""
+            there = sites + step
+            inside = ((there >= 0) & (there <= last)).all(axis=1)
+            inside[inside] = index[tuple(there[inside].T)] > 0
+            bias_nm = self.size_nm[inside] - drawn_nm[index[tuple(there[inside].T)]]
+            enough = 2 * np.count_nonzero(inside) >= max(len(sites), 2 * _ENOUGH)
+            return float(np.abs(bias_nm - np.median(bias_nm, axis=0)).sum(axis=1).mean()) if enough else math.inf
+
+        spreads_nm = {step: spread_nm(step) for step in product((-1, 0, 1), repeat=2)}
+        step = min(spreads_nm, key=lambda each: spreads_nm[each])
+        if not spreads_nm[step] < _BETTER * spreads_nm[0, 0]:
+            step = (0, 0)
+        offset = np.median(off, axis=0) - step
+        if np.abs(offset).max() <= _LARGEST_OFFSET:
+            return
+        y, x = np.round(offset * pitch_um, 3) + 0.0
+        got = f"places shifted by ({x:g}, {y:g}) um in the median"
+        if step != (0, 0):
+            got += f" (sizes fit the drawn ones there to {spreads_nm[step]:.2g} nm, here to {spreads_nm[0, 0]:.2g} nm)"
+        expected = f"places within {_LARGEST_OFFSET:g} periods of their pillars"
+        remedy = f"subtract ({x:g}, {y:g}) from x_um and y_um, which are from the axis of the lens"
+        raise InputError.single(str(self.path), "places", expected, got, remedy)
 
     def require_each_once(self, *of: NDArray[np.float64] | NDArray[np.int64]) -> None:
         """Refuse rows that agree in all columns ``of``, shape (n,) or (n, m) each.

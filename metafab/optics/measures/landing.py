@@ -2,9 +2,8 @@
 
 The field behind the pillars is cut into blocks. The Fourier transform of a block gives its plane waves; each of them is
 a ray from the block to the sensor. Blocks of the side sqrt(wavelength x distance), a Fresnel zone, spread the light by
-their side and by their diffraction alike, which is the resolution of the map. The direction of a wave is not that of its
-bin but the step of its phase to the block one site on (frequency reassignment, Auger and Flandrin 1995): bins and side
-lobes of one beam land at one point, also where steep beams spread a bin over hundreds of micrometres.
+their side and by their diffraction alike, which is the resolution of the map. Bins of one beam land at one point: the
+direction of each is the step of its phase to the block one site on (frequency reassignment, Auger and Flandrin 1995).
 """
 
 from __future__ import annotations

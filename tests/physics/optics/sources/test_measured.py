@@ -84,6 +84,24 @@ def test_what_cannot_be_is_refused(
         with_measured_sizes(drawn, table, smooth_library)
 
 
+@pytest.mark.parametrize("shift_um", [(0.154, 0.0), (0.25, -0.2), (-0.35, 0.0)])
+def test_a_table_that_is_shifted_is_refused_with_its_shift(
+    shift_um: tuple[float, float], smooth_library: Library, tmp_path: Path
+) -> None:
+    """Periods of 350 nm: by 0.44 of one, 0.71 and 0.57 of one, and by a whole one."""
+    index = np.random.default_rng(3).integers(1, 3, (10, 12)).astype(np.uint16)
+    drawn = PillarMap.from_array(
+        Lattice((700, 700), (10, 12), 0.5), np.array([[0, 0], [240, 320], [360, 280]], dtype=np.int32), index, 64
+    )
+    x_um, y_um = drawn.lattice.x_um(), drawn.lattice.y_um()
+    rows = [(x, y, *_at(drawn, j, i)) for j, y in enumerate(y_um) for i, x in enumerate(x_um)][13:-13]
+    kept = [row for row in rows if max(abs(row[0]), abs(row[1])) < 1.5]
+    table = _table(tmp_path / "sem.csv", *((x + shift_um[0], y + shift_um[1], w, z) for x, y, w, z in kept))
+    x, y = shift_um
+    with pytest.raises(InputError, match=rf"shifted by \({x:g}, {y:g}\) um.*subtract \({x:g}, {y:g}\)"):
+        with_measured_sizes(drawn, table, smooth_library)
+
+
 def test_a_table_without_a_column_is_refused(drawn: PillarMap, smooth_library: Library, tmp_path: Path) -> None:
     path = tmp_path / "sem.csv"
     path.write_text("x_um,y_um,cd_nm\n0,0,120\n")
