@@ -406,6 +406,8 @@ class OrdersFigures:
     sites: tuple[int, ...] | None = optional()  #: Pillars of a repeat along x and y.
     windows: int | None = optional()  #: Unlike repeats that were solved.
     coupling_error: float | None = optional()  #: Relative L2 error of the library's field.
+    #: Of a steep lens: light in the wanted order of its rows by full wave, over that by the library.
+    efficiency_ratio: float | None = optional()
     orders: tuple[
         OrderFigures, ...
     ] = ()  #: Orders of 3 % of the light or more, brightest first, x then y polarisation.
@@ -420,8 +422,18 @@ class OrdersFigures:
         )
 
     @property
+    def label(self) -> str:
+        """Label of the sentence: rows of a lens tell of neighbours, not of orders."""
+        return "wanted orders" if self.efficiency_ratio is None else "neighbours"
+
+    @property
     def sentence(self) -> str:
         """Light in the wanted orders in words, or why it is known by the library alone."""
+        if self.efficiency_ratio is not None:
+            return (
+                f"{self.windows} rows of the lens by full wave bring {self.efficiency_ratio:.2g} times the library's "
+                "light into the focusing order: efficiency and peak are off by about that factor"
+            )
         if self.sites is None:
             return f"by the library alone: {self.reason}"
         shares = [self.wanted(p) for p in ("x", "y")]

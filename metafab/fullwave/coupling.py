@@ -15,11 +15,13 @@ from typing import Any, Literal
 
 import numpy as np
 
+from metafab.cell.curved.supercell import count_functions
 from metafab.cell.elements import solve as spectral_elements
 from metafab.cell.elements.solve import ElementNumerics
 from metafab.cell.meep import Pool, SupercellSettings, solve_supercell
 from metafab.cell.supercell import SupercellResponse
 from metafab.core.conventions import POLARISATIONS, Polarisation
+from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import read_json, write_json
 from metafab.fullwave.written import Axis, line_at, local_period_sites, supercell_at
@@ -27,6 +29,10 @@ from metafab.layout import PillarMap
 from metafab.library import Library
 
 Solver = Literal["rcwa", "meep"]
+#: Rings of a steep lens, each by one row; target error of the rows' amplitudes, against couplings of 0.2 to 0.5.
+_RINGS, _RINGS_TARGET = 3, 0.02
+#: Most functions of a row with curved outlines, some ten seconds of processor time.
+_MOST_FUNCTIONS = 1500
 KIND = "metafab coupling"
 FORMAT = 1
 
@@ -114,6 +120,27 @@ def measure_coupling(
         rows.append(_row((x, y), axis, solver, order, answer))
         progress("local periods", done, len(todo))
     return Coupling(mask_sha256, tuple(rows))
+
+
+def measure_rings(
+    pillars: PillarMap, library: Library, radius_um: float, mask_sha256: str, progress: Progress = silent
+) -> Coupling:
+    """Solve rows along x in the middle of rings of equal area of a steep lens, by RCWA; errors as measure_coupling."""
+    if pillars.lattice.hexagonal or pillars.angle_deg is not None:
+        expected = "upright pillars in a rectangular lattice"
+        raise InputError.single("supercell", "lattice", expected, "another: not available for it")
+    places = [(radius_um * math.sqrt((ring + 0.5) / _RINGS), 0.0) for ring in range(_RINGS)]
+    functions = 0
+    for x, y in places:
+        sites = max(local_period_sites(line)[0] for line in line_at(pillars, library, x, y, "x"))
+        supercell = supercell_at(pillars, library, x, y, (1, sites))[0]
+        if supercell.cell.is_shaped:
+            functions = max(functions, count_functions(supercell, ElementNumerics().resolutions[0]))
+    if functions > _MOST_FUNCTIONS:
+        expected = f"curved outlines of up to {_MOST_FUNCTIONS} functions a row"
+        raise InputError.single("supercell", "cell.shape", expected, f"{functions}", "`metafab coupling` solves them")
+    numerics = CouplingNumerics(rcwa=ElementNumerics(target_error=_RINGS_TARGET))
+    return measure_coupling(pillars, library, places, mask_sha256, numerics=numerics, progress=progress)
 
 
 def save_coupling(coupling: Coupling, path: Path) -> None:

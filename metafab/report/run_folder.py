@@ -183,7 +183,7 @@ def open_run(path: Path) -> RunFolder:
         decoded=_attempt(notes, "decoded", path / "decoded.h5", decode.load),
         # Files of other commands: no note where they are missing.
         exposure=_exposure(notes, path / "exposure.json", masks),
-        coupling=fullwave.load_coupling(path / "coupling.json"),
+        coupling=fullwave.load_coupling(path / "coupling.json") or fullwave.load_coupling(path / "orders.json"),
         patch=_attempt(notes, "patch", patch_file, fullwave.load_patch) if patch_file.is_file() else None,
         comparison=comparison.load_comparison(path / "comparison.json"),
         notes=notes,

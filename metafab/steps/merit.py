@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _FREQUENCIES = 33
 #: Sites across a lens, at least, for a wavefront of 36 polynomials.
 _FEWEST_SITES = 24
+#: Numerical aperture from which a run solves rows of a lens: a turn of its phase at the rim takes two to four pillars.
+_STEEP = 0.5
 #: File of the orders of a mask whose pattern repeats.
 _ORDERS_FILE, _ORDERS_KIND = "orders.json", "metafab orders"
 
@@ -163,10 +165,10 @@ def recorded_coupling(job: Job) -> CouplingFigures | None:
     from metafab import fullwave
 
     of_masks = {file_sha256(path) for path in mask_paths(job)}
-    coupling = fullwave.load_coupling(rows)
-    if coupling is not None and coupling.mask_sha256 in of_masks:
-        solvers = tuple(sorted({row.solver for row in coupling.rows}))
-        return CouplingFigures(coupling.coupling_error, coupling.efficiency_ratio, len(coupling.rows), solvers)
+    for coupling in map(fullwave.load_coupling, (rows, orders)):
+        if coupling is not None and coupling.mask_sha256 in of_masks:
+            solvers = tuple(sorted({row.solver for row in coupling.rows}))
+            return CouplingFigures(coupling.coupling_error, coupling.efficiency_ratio, len(coupling.rows), solvers)
     return read_json(orders, _ORDERS_KIND, 1, lambda table: _of_orders(table, of_masks))
 
 
@@ -183,18 +185,47 @@ def _orders(job: Job) -> OrdersFigures:
     from metafab.fullwave.repeats import measure_orders
 
     path = mask_paths(job)[-1]
+    if _focuses(job.design):
+        try:
+            return _rings(job, path)
+        except InputError as error:
+            figures = OrdersFigures(reason=f"no rows of the lens were solved ({error.faults[0]})")
+            return _saved_orders(job, path, figures)
     with job.work.processes() as executor:
         figures = measure_orders(
             mask_source(job, path).pillars, open_library(job), executor=executor, progress=job.work.progress
         )
+    return _saved_orders(job, path, figures)
+
+
+def _saved_orders(job: Job, path: Path, figures: OrdersFigures) -> OrdersFigures:
     content = {"kind": _ORDERS_KIND, "format_version": 1, "mask_sha256": file_sha256(path), "figures": figures}
     write_json(job.folder / _ORDERS_FILE, content)
     return figures
 
 
+def _rings(job: Job, path: Path) -> OrdersFigures:
+    """Rows of a steep lens instead of repeats, kept as those of ``metafab coupling``; InputError if it has none."""
+    from metafab.fullwave.coupling import measure_rings, save_coupling
+
+    pillars, radius_um = mask_source(job, path).pillars, 0.5 * job.design.device.aperture_um
+    found = measure_rings(pillars, open_library(job), radius_um, file_sha256(path), job.work.progress)
+    save_coupling(found, job.folder / _ORDERS_FILE)
+    return OrdersFigures(
+        windows=len(found.rows), coupling_error=found.coupling_error, efficiency_ratio=found.efficiency_ratio
+    )
+
+
+def _focuses(design: Design) -> bool:
+    return any(isinstance(term, Lens | Radial | SplitLens) for term in design.phase)
+
+
 def _has_no_orders(design: Design) -> str | None:
-    bends = any(isinstance(term, Lens | Radial | SplitLens) for term in design.phase)
-    return no_mask(design) or ("the design focuses light: its pillars do not repeat" if bends else None)
+    from metafab.optics import Imaging
+
+    if (reason := no_mask(design)) or not _focuses(design) or Imaging.of(design).numerical_aperture >= _STEEP:
+        return reason
+    return "the design focuses light: its pillars do not repeat"
 
 
 def _merit(job: Job) -> MeritFigures:

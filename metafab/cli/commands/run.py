@@ -198,7 +198,7 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
         efficiency = sum(psf.efficiency_x) / len(psf.efficiency_x)
         lines["PSF error"] = f"{max(psf.error):.2g} at most (relative L2)"
         lines["efficiency"] = f"{100.0 * efficiency:.1f} % in the window (x)"
-    lines |= {} if summary.orders is None else {"wanted orders": summary.orders.sentence}
+    lines |= {} if summary.orders is None else {summary.orders.label: summary.orders.sentence}
     has_zones = phase is not None and phase.peak_gain is not None
     has_bandwidth = summary.study is not None and summary.study.bandwidth is not None
     if summary.merit is not None and (has_zones or has_bandwidth):

@@ -203,6 +203,8 @@ def fullwave(run: RunFolder, drawn: Drawn) -> str:
 
 
 def _orders(figures: OrdersFigures, seconds: float) -> str:
+    if figures.efficiency_ratio is not None:
+        return html.paragraph(escape(f"{figures.sentence}."), "note")
     if figures.sites is None:
         text = f"The orders of the mask are known by the library alone: {figures.reason}."
         return html.paragraph(escape(text), "note")

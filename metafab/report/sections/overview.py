@@ -44,6 +44,9 @@ def headlines(run: RunFolder) -> str:
     elif summary.merit is not None and run.outline.forms_images and nmae is None and not solved:
         items += _focus(summary.merit)
     terms = () if run.design is None else run.design.phase
+    if summary.orders is not None and summary.orders.efficiency_ratio is not None:
+        text = "of the light of lone pillars in the focus, by full wave of rows of unlike neighbours"
+        items.append(html.headline(f"{100 * summary.orders.efficiency_ratio:.0f}\u202f%", text))
     if summary.layout is not None and not solved and terms and all(isinstance(term, Grating) for term in terms):
         items.append(html.headline(f"{100 * summary.layout.efficiency:.0f}\u202f%", _orders(terms)))
     if summary.layout is not None:

@@ -60,10 +60,11 @@ def _line(coupling: CouplingFigures | None) -> BudgetLine:
     return next(line for line in lines if line.source == "local-period approximation")
 
 
-@pytest.mark.parametrize("which", [0, -1])
-def test_rows_of_any_of_the_masks_count(job: Job, which: int) -> None:
+@pytest.mark.parametrize(("which", "file"), [(0, "coupling.json"), (-1, "coupling.json"), (-1, "orders.json")])
+def test_rows_of_any_of_the_masks_count(job: Job, which: int, file: str) -> None:
+    """By ``metafab coupling``, or by the run itself for a steep lens."""
     sha = file_sha256(mask_paths(job)[which])
-    fullwave.save_coupling(fullwave.Coupling(sha, (ROW,)), job.folder / "coupling.json")
+    fullwave.save_coupling(fullwave.Coupling(sha, (ROW,)), job.folder / file)
     recorded = recorded_coupling(job)
     assert recorded is not None
     assert recorded.coupling_error == pytest.approx(0.12)
