@@ -74,10 +74,10 @@ class MeasuredTable:
         """
         index, drawn_nm, last = pillars.to_array(), pillars.size_nm(), np.array(pillars.lattice.shape) - 1
 
-        def spread_nm(step: tuple[int, int]) -> float:
+        def spread_nm(step: tuple[int, ...]) -> float:
             """Mean deviation of measured less drawn sizes from their median, of the pillars a step beside ``sites``."""
             there = sites + step
-            inside = ((there >= 0) & (there <= last)).all(axis=1)
+            inside = np.asarray(((there >= 0) & (there <= last)).all(axis=1))
             inside[inside] = index[tuple(there[inside].T)] > 0
             bias_nm = self.size_nm[inside] - drawn_nm[index[tuple(there[inside].T)]]
             enough = 2 * np.count_nonzero(inside) >= max(len(sites), 2 * _ENOUGH)

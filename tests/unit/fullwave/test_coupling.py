@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from metafab.cell.elements import ElementNumerics
 from metafab.fullwave.coupling import CouplingNumerics, CouplingRow
 from metafab.layout import Lattice, PillarMap
 from metafab.library import Library
+from metafab.spec import load_design, write_new
+from metafab.spec.new import NewLens
+from metafab.steps.merit import ORDERS
 from tests.fake_meep import UncoupledPillars, response
 from tests.unit.fullwave.conftest import QUICK
 
@@ -76,6 +80,25 @@ def test_rows_along_y_are_the_same_rows_turned(pillars: PillarMap, ramp_library:
     assert along_y.efficiency == pytest.approx(along_x.efficiency, rel=1e-9)
     assert along_y.coupling_error == pytest.approx(along_x.coupling_error, rel=1e-9)
     assert along_x.coupling_error > 1e-3
+
+
+def test_rings_of_a_lens_have_a_row_each(
+    pillars: PillarMap, ramp_library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = Mock()
+    monkeypatch.setattr("metafab.fullwave.coupling.measure_coupling", asked)
+    fullwave.coupling.measure_rings(pillars, ramp_library, 3.0, "mask")
+    places = np.array(asked.call_args.args[2])
+    assert not places[:, 1].any()
+    # Rings of a third of the area each; a row stands where half of its ring lies inside.
+    assert (places[:, 0] / 3.0) ** 2 == pytest.approx([1.0 / 6.0, 0.5, 5.0 / 6.0])
+
+
+@pytest.mark.parametrize(("aperture", "reason"), [(0.9, None), (0.2, "the design focuses light")])
+def test_a_steep_lens_needs_its_rows(aperture: float, reason: str | None, tmp_path: Path) -> None:
+    lens = NewLens(numerical_aperture=aperture, aperture_um=20.0)
+    found = ORDERS.not_needed(load_design(write_new("own", "metalens", tmp_path, lens=lens)[0]))
+    assert (found or "").startswith(reason or "") and (found is None) == (reason is None)
 
 
 def test_what_was_measured_is_kept(tmp_path: Path) -> None:
