@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Hashable
-from itertools import count
 from pathlib import Path
 from threading import Lock
 from typing import Generic, TypeVar
 
 Result = TypeVar("Result")
-
-#: Longest step of the clock that stamps files; a change within it may leave the time of the last change as it was.
-_TICK_NS = 20_000_000
-_fresh = count(1)
 
 
 class Latest(Generic[Result]):
@@ -32,12 +26,10 @@ class Latest(Generic[Result]):
             return self._held[1]
 
 
-def file_mark(path: Path) -> tuple[str, int, int, int]:
-    """Absolute path, size in bytes and modification time in ns of a file, and a number, as a cache key.
+def file_mark(path: Path) -> tuple[str, int, int]:
+    """Absolute path, size in bytes and modification time in ns of a file, as a cache key.
 
-    The number is 0, or a new one for a file so fresh that a further change could keep its time and size. OSError if
-    there is no such file.
+    OSError if there is no such file.
     """
     found = path.resolve().stat()
-    is_settled = abs(time.time_ns() - found.st_mtime_ns) > _TICK_NS
-    return str(path.resolve()), found.st_size, found.st_mtime_ns, 0 if is_settled else next(_fresh)
+    return str(path.resolve()), found.st_size, found.st_mtime_ns
