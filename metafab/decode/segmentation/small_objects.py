@@ -3,8 +3,9 @@
 An object's light is left in the surface's null channel (:mod:`metafab.decode.segmentation.null_channel`). An object is
 a rectangle of even light, of a contrast of its own. Depth, place and size maximise its evidence by ascent, first in
 coarse steps. The evidence falls for rectangles that are too large as well as for those that are too small. Blobs whose
-light no rectangle explains, or whose evidence hardly depends on depth, are rejected. Depth and rectangle of the others
-follow from a model of both images with occlusion (:mod:`metafab.decode.segmentation.object_fit`).
+light no rectangle explains are rejected. Depth and rectangle of the others, and the error that decides whether they
+have a depth, follow from a model of both images with occlusion (:mod:`metafab.decode.segmentation.object_fit`): in the
+null channel, 20 px before a surface may fit two depths that the model tells apart.
 """
 
 from __future__ import annotations
@@ -54,15 +55,11 @@ _LEAST_EVIDENCE, _LEAST_MARGIN = 60.0, 20.0
 #: Mean energy over that of noise that an object leaves in its blob at most: true ones left 0.8 to 1.8, light of other
 #: causes 40 or more.
 _LEFT = 3.0
-#: Factors of the least evidence, of the energy left (at the middle candidate, and at the best one) and of the largest
-#: error by which coarse steps may miss them. The coarse steps of 13 objects found left 4.5 and 3.6 at most, with errors
-#: of 0.038 at most. Other light of two photographs left 4.4 to 6.2, or gave 0.077 to 0.25.
-_COARSE_EVIDENCE, _COARSE_LEFT, _COARSE_ERROR = 0.5, (2.0, 1.5), 1.7
+#: Factors of the least evidence and of the energy left (at the middle candidate, and at the best one) by which coarse
+#: steps may miss them. The coarse steps of 13 objects found left 4.5 and 3.6 at most.
+_COARSE_EVIDENCE, _COARSE_LEFT = 0.5, (2.0, 1.5)
 #: Relative difference of depths of one surface, and rounds in which a rectangle's light settles.
 _ONE_SURFACE, _LIGHT_ROUNDS = 0.02, 3
-#: Error of depth in standard errors of the evidence at the best rectangle of the coarse steps: rms of 60 objects of 20
-#: to 39 px in three frames, where what the null channel does not model outweighs noise.
-_ERROR_RATIO = 3.4
 
 
 @dataclass(frozen=True)
@@ -165,11 +162,12 @@ def _search(
     most, most_at_best = (_LEFT * one for one in _COARSE_LEFT)
     if evidence < _COARSE_EVIDENCE * _LEAST_EVIDENCE or left(vergence, rectangle, even)[own].mean() > most:
         return None
-    vergence, rectangle, error = ascent.over_depths(rectangle)
-    if error > _COARSE_ERROR * LARGEST_ERROR or left(vergence, rectangle, even)[own].mean() > most_at_best:
+    vergence, rectangle = ascent.over_depths(rectangle)
+    if left(vergence, rectangle, even)[own].mean() > most_at_best:
         return None
     origin = np.array([WINDOW // 2, WINDOW // 2, 0.0, 0.0])
-    begun = vergence, rectangle - origin
+    # From the middle of the depths: the best one in the null channel may lie 45 % off, at their near end.
+    begun = float(ascent.candidates[_CANDIDATES // 2]), rectangle - origin
     fitted = fitted_object(prepared, optics, middle, max(weight.shape), (surface_per_m, level_e), begun)
     if fitted is None or not fitted.relative_error < LARGEST_ERROR or fitted.vergence_per_m > largest:
         return None
@@ -187,11 +185,6 @@ def _search(
     if evidence - beside < _LEAST_MARGIN or energy[own].mean() > _LEFT or not mask.any():
         return None
     return SmallObject(vergence, fitted.relative_error, evidence, mask, energy, at)
-
-
-def _depth_error(fall: float, relative_step: float) -> float:
-    """Standard error of a depth over the depth, from twice the evidence less that a step below and above it."""
-    return _ERROR_RATIO * relative_step / math.sqrt(fall) if fall > 0.0 else math.inf
 
 
 @dataclass(frozen=True)
@@ -230,8 +223,8 @@ class _Ascent:
         evidence, rectangle = self.over_sides(middle, rectangle, np.ones(2), _COARSE_STEPS)
         return evidence, middle, rectangle
 
-    def over_depths(self, rectangle: Rectangle) -> tuple[float, Rectangle, float]:
-        """Ascent over depths and rectangles in turn: the depth, the rectangle, and the relative error of the depth."""
+    def over_depths(self, rectangle: Rectangle) -> tuple[float, Rectangle]:
+        """Ascent over depths and rectangles in turn: the depth and the rectangle."""
         depths, even, step, index = self.candidates.tolist(), np.ones(2), _COARSE_STEPS[-1:], _CANDIDATES // 2
         for _ in range(_CANDIDATES):
             profile = [self.evidence.at(vergence, rectangle, even) for vergence in depths]
@@ -239,13 +232,10 @@ class _Ascent:
             if index == before:
                 break
             _, rectangle = self.over_sides(depths[index], rectangle, even, step)
-        inner = min(max(index, 1), _CANDIDATES - 2)
-        fall = 2.0 * profile[inner] - profile[inner - 1] - profile[inner + 1]
-        error = _depth_error(fall, (depths[1] - depths[0]) / depths[inner])
         # Rectangles that are best at neighbouring depths can be better than the one that is best here.
         beside = [(*self.over_sides(one, rectangle, even, step), one) for one in depths[max(index - 1, 0) : index + 2]]
         _, rectangle, vergence = max(beside, key=lambda one: one[0])
-        return vergence, rectangle, error
+        return vergence, rectangle
 
     def is_allowed(self, rectangle: Rectangle) -> bool:
         """Whether a rectangle lies within the object's pixels and is no smaller than the least one."""
