@@ -304,7 +304,7 @@ def _determinant_slopes(window: _Window, unknowns: _Unknowns) -> _Unknowns:
     for number, moved in enumerate(_moved(window, unknowns, np.arange(9))):
         images = (window.weight * moved.textured(draw) for draw in draws)
         slopes[number] = np.mean([float(((one - here) * here).sum()) for one, here in zip(images, at, strict=True)])
-    return slopes / _DIFFERENCES
+    return np.asarray(slopes / _DIFFERENCES)
 
 
 def _product(one: _Spectra, other: _Spectra) -> float:
