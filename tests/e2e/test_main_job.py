@@ -128,9 +128,10 @@ def test_a_stated_process_prints_the_mask_of_the_same_run(main_job: MainJob, tmp
     assert answer.code == 0, answer.stderr
     assert {entry["step"] for entry in answer.json["skipped"]} >= {"layout", "drc", "psf", "decode"}
     printed = answer.json["exposure"]
-    assert printed["corrected_rms_nm"] < 0.02
+    # The sample asks for as few classes as change printed sizes by 0.1 nm at most.
+    assert printed["corrected_rms_nm"] < 0.1
     assert printed["cd_error_rms_nm"] > 0.1
-    assert printed["classes"] <= 64 and printed["dose_min"] < 1.0 < printed["dose_max"]
+    assert 1 < printed["classes"] <= 64 and printed["dose_min"] < 1.0 < printed["dose_max"]
     record = json.loads((folder / "exposure.json").read_text())
     assert record["plain"]["figures"]["cd_error_rms_nm"] == printed["cd_error_rms_nm"]
     assert "Exposure: printed sizes" in (folder / "report.html").read_text(encoding="utf-8")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance, nearest
+from metafab.decode.confidence import RIGHT_WITHIN
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
@@ -209,27 +211,38 @@ def connected_moves(label: NDArray[np.int32], moved: NDArray[np.int32]) -> NDArr
     return kept
 
 
-def across_outlines(label: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def across_outlines(
+    label: NDArray[np.int32], vergence_per_m: FloatArray | None = None
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """The segment across the outline nearest to each pixel, and the distance of that outline.
 
     Args:
         label: shape (n_y, n_x), number of each pixel's segment; 0 for none.
+        vergence_per_m: shape (n_y, n_x), 1/depth of each pixel's segment. Where it is given, outlines between depths
+            that are one within ``RIGHT_WITHIN`` do not count: either depth is right there.
 
     Returns:
         Number of the other segment, 0 for none, and distance in pixels, inf without an outline: shapes (n_y, n_x).
     """
+
+    def differ(one: Any, other: Any) -> NDArray[np.bool_]:
+        unlike: NDArray[np.bool_] = label[one] != label[other]
+        if vergence_per_m is not None:
+            unlike &= np.abs(vergence_per_m[one] - vergence_per_m[other]) > RIGHT_WITHIN * vergence_per_m[one]
+        return unlike
+
     beside = np.zeros_like(label)
     for one, other in (
         ((slice(1, None),), (slice(None, -1),)),
         ((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
     ):
-        meet = (label[one] != label[other]) & (label[one] > 0) & (label[other] > 0)
+        meet = (label[one] > 0) & (label[other] > 0) & differ(one, other)
         np.copyto(beside[one], label[other], where=meet)
         np.copyto(beside[other], label[one], where=meet)
     away, row, column = nearest(beside > 0)
     # The nearest pixel along an outline may lie beyond it: then it belongs to the other segment.
-    same = label[row, column] == label
-    return np.where(same, beside[row, column], label[row, column]).astype(np.int32), away
+    beyond = differ((row, column), ...)
+    return np.where(beyond, label[row, column], beside[row, column]).astype(np.int32), away
 
 
 def plane_misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_], free: int) -> float:

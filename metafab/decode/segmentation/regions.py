@@ -184,7 +184,6 @@ def find_regions(
         owner, own = fitting_segments(label, prepared.spoiled, own, at_segment, reach)
         regions = with_owners(regions, owner)
         label = regions.grown
-    across, away = across_outlines(label)
     misfit_here, unexplained = own.over_noise, np.zeros(label.shape, dtype=bool)
     if optics is not None:
         unexplained = foreign_light(regions, own, step) & ~prepared.spoiled
@@ -198,7 +197,7 @@ def find_regions(
             unexplained[one.blob] = False
         regions = with_small_objects(regions, found, volume)
         label = regions.grown
-        across, away = across_outlines(label)
+    across, away = across_outlines(label, regions.vergence_per_m(label))
     other = misfit_of(across, own.model_error) if across.any() else own
     right = right_segment(misfit_here, other.over_noise, away * step)
     return replace(regions, right=np.where(unexplained & (other.is_foreign | (across == 0)), 0.0, right))

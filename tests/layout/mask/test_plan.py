@@ -93,7 +93,8 @@ def test_a_run_announces_a_large_gdsii_before_its_first_step(
     monkeypatch.setattr("metafab.run._State.bring_up_to_date", begun)
     small = ROOT / "layouts" / "helix_small.toml"
     large = tmp_path / "large.toml"
-    table = small.read_text().replace("aperture_um = 200.0", "aperture_um = 2400.0")
+    table = small.with_name("helix_2mm.toml").read_text().replace("aperture_um = 2000.0", "aperture_um = 2400.0")
+    assert "aperture_um = 2400.0" in table
     large.write_text(table.replace("../unitcell_lib", str(ROOT / "unitcell_lib")))
     with pytest.raises(_BegunError):
         run_command(small, tmp_path / "small")

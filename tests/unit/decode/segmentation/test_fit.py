@@ -44,6 +44,18 @@ def test_the_segment_across_the_nearest_outline() -> None:
     assert away[0].tolist() == [4, 3, 2, 1, 0, 0, 1, 1, 0, 0, 1, 2]
 
 
+def test_an_outline_between_depths_that_are_one_within_5_percent_does_not_count() -> None:
+    label = np.ones((6, 12), dtype=np.int32)
+    label[:, 5:9], label[:, 9:] = 2, 3
+    across, away = across_outlines(label, np.array([np.nan, 2.0, 2.02, 3.0])[label])
+    assert across[0].tolist() == [3] * 9 + [2] * 3
+    assert away[0].tolist() == [8, 7, 6, 5, 4, 3, 2, 1, 0, 0, 1, 2]
+    # A tilted surface is its own on either side of a place whose depth is another.
+    tilted = np.where(label == 3, 9.0, np.linspace(1.0, 3.0, 12))
+    across, _ = across_outlines(np.where(label == 3, 3, 1).astype(np.int32), tilted)
+    assert across[0].tolist() == [3] * 9 + [1] * 3
+
+
 def test_darkness_is_no_outline() -> None:
     label = np.zeros((6, 12), dtype=np.int32)
     label[:, 5:9] = 1
