@@ -87,7 +87,16 @@ def _film_matches_closed_form() -> bool:
     from metafab import cell
     from metafab.cell import fresnel
 
-    film = cell.PillarCell((350.0, 350.0), 350.0, 350.0, 600.0, 3.5 + 0.01j, (1.76, 1.76), 1.0, 800.0)
+    film = cell.PillarCell(
+        period_nm=(350.0, 350.0),
+        width_nm=350.0,
+        length_nm=350.0,
+        height_nm=600.0,
+        n_pillar=3.5 + 0.01j,
+        n_substrate=(1.76, 1.76),
+        n_ambient=1.0,
+        wavelength_nm=800.0,
+    )
     exact, _ = fresnel.film_jones(film, film.n_pillar)
     return bool(abs(cell.solve(film).t[0, 0] - exact[0, 0]) < 1e-10)
 

@@ -86,7 +86,7 @@ def raw_frame() -> RawFrame:
 
 def pillar_map() -> PillarMap:
     """A disc of two sizes, in tiles that do not divide the lattice."""
-    lattice = Lattice((700, 700), (101, 101), 0.5)
+    lattice = Lattice(period_dbu=(700, 700), shape=(101, 101), database_unit_nm=0.5)
     y, x = np.mgrid[-50:51, -50:51]
     index = np.where(x**2 + y**2 <= 48**2, 1 + (x + y) % 2, 0).astype(np.uint16)
     sizes = np.array([[0, 0], [200, 400], [500, 300]], dtype=np.int32)

@@ -61,7 +61,7 @@ def eq_2(optics: Imaging, zones: int = 3) -> object:
 def lattice(optics: Imaging, period_nm: float = 350.0) -> Lattice:
     """Sites over the aperture, an even number a side: on the axis itself, azimuth and mirror image are undefined."""
     count = 2 * math.ceil(0.5e3 * optics.aperture_um / period_nm)
-    return Lattice((round(2 * period_nm), round(2 * period_nm)), (count, count), 0.5)
+    return Lattice(period_dbu=(round(2 * period_nm), round(2 * period_nm)), shape=(count, count), database_unit_nm=0.5)
 
 
 def ideal(optics: Imaging, *terms: object) -> IdealField:

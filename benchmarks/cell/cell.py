@@ -54,7 +54,16 @@ def rows(quick: bool) -> list[dict[str, Any]]:
 
 def paper_cell(width_nm: float, length_nm: float) -> PillarCell:
     """The paper's cell with a pillar of this size."""
-    return PillarCell((350.0, 350.0), width_nm, length_nm, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.0, 800.0)
+    return PillarCell(
+        period_nm=(350.0, 350.0),
+        width_nm=width_nm,
+        length_nm=length_nm,
+        height_nm=600.0,
+        n_pillar=3.6941 + 0.0065j,
+        n_substrate=(1.7601, 1.7601),
+        n_ambient=1.0,
+        wavelength_nm=800.0,
+    )
 
 
 def _certified(target: float, cells: Sequence[PillarCell], references: Sequence[ZeroOrder]) -> dict[str, Any]:

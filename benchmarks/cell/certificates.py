@@ -171,7 +171,7 @@ def judge(seed: int, number: int, kind: str | None = None) -> Iterator[Case]:
     known: Truncations = {}
     for target_error in TARGETS:
         start = time.thread_time()
-        answer = solve(cell, CellNumerics(target_error, max_orders=_finest_answer(cell, deep=deep)), known)
+        answer = solve(cell, CellNumerics(target_error=target_error, max_orders=_finest_answer(cell, deep=deep)), known)
         details = vars(answer.details)
         truncation = int(details.get("order") or details["orders_x"])
         steps = 2 * answer.details.steps if isinstance(answer.details, SlopedDetails) else 1
@@ -249,7 +249,15 @@ def draw(seed: int, number: int, kind: str | None = None) -> tuple[str, PillarCe
     n_ambient = complex(rng.choice([1.0, 1.0, 1.0, rng.uniform(1.0, 2.0)]))
     side: Side = "substrate" if rng.random() < 0.5 else "ambient"
     cell = PillarCell(
-        (x_nm, y_nm), width_nm, length_nm, height_nm, n_pillar, (n_substrate,) * 2, n_ambient, wavelength_nm, side
+        period_nm=(x_nm, y_nm),
+        width_nm=width_nm,
+        length_nm=length_nm,
+        height_nm=height_nm,
+        n_pillar=n_pillar,
+        n_substrate=(n_substrate,) * 2,
+        n_ambient=n_ambient,
+        wavelength_nm=wavelength_nm,
+        side=side,
     )
     return kind, _varied(kind, cell, rng)
 

@@ -120,7 +120,7 @@ def _transmission(cell: UnitCell, sizes_nm: FloatArray, target: float, executor:
     cells = [pillar_cell(cell, width, length) for width, length in sizes_nm.T.tolist()]
     place = {(item.width_nm, item.length_nm): k for k, item in enumerate(cells)}
     t = np.empty((len(cells), 2), dtype=np.complex128)
-    for answer in solve_many(cells, CellNumerics(target), executor):
+    for answer in solve_many(cells, CellNumerics(target_error=target), executor):
         t[place[answer.cell.width_nm, answer.cell.length_nm]] = np.diag(answer.t)
     return t
 

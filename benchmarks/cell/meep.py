@@ -84,8 +84,8 @@ def rows(quick: bool) -> list[dict[str, Any]]:
 def _cells(pool: Pool, sizes: tuple[tuple[float, float], ...], members: tuple[int, ...]) -> Iterator[dict[str, Any]]:
     for width, length in sizes:
         cell = replace(CELL, width_nm=width, length_nm=length)
-        reference, plain = rcwa.solve(cell, CellNumerics(1e-4)), fourier_limit(cell)
-        response = solve(cell, CellNumerics(TARGET, "meep"), MeepSettings(members), pool)
+        reference, plain = rcwa.solve(cell, CellNumerics(target_error=1e-4)), fourier_limit(cell)
+        response = solve(cell, CellNumerics(target_error=TARGET, solver="meep"), MeepSettings(members), pool)
         difference = float(np.max(np.abs(response.t - reference.t)))
         yield _row(f"{width:g} x {length:g} nm", difference, response.seconds) | {
             "stated_error": response.error,
@@ -98,7 +98,7 @@ def _cells(pool: Pool, sizes: tuple[tuple[float, float], ...], members: tuple[in
 
 def _savings() -> Iterator[dict[str, Any]]:
     """Processor time at 100 px/um: a quarter cell with its tail extrapolated, and a whole cell until it dies."""
-    reference = complex(rcwa.solve(CELL, CellNumerics(1e-4)).t[0, 0])
+    reference = complex(rcwa.solve(CELL, CellNumerics(target_error=1e-4)).t[0, 0])
     grids = family(CELL)
     member = next(m for m in range(1, 9) if 2 * m * grids.period[0] >= 0.1 * CELL.period_nm[0])
     run = plan(CELL, grids, "x", member, decay=1e-3, longest_time=800.0)
@@ -165,7 +165,9 @@ def _lens(pool: Pool, count: int = 28, focus_um: float = 10.0, padding: int = 2)
     radius = np.hypot(place[:, None], place)
     inside = radius <= 0.5 * count * 0.35
     sides = np.arange(100.0, 251.0, 2.0)
-    own = np.array([rcwa.solve(replace(CELL, width_nm=s, length_nm=s), CellNumerics(1e-3)).t[0, 0] for s in sides])
+    own = np.array(
+        [rcwa.solve(replace(CELL, width_nm=s, length_nm=s), CellNumerics(target_error=1e-3)).t[0, 0] for s in sides]
+    )
     wanted = np.exp(-2j * np.pi / 0.8 * (np.hypot(radius, focus_um) - focus_um))
     chosen = np.argmax((own * wanted[..., None].conj()).real, axis=-1)
     side = np.where(inside, sides[chosen], 0.0)
@@ -178,7 +180,7 @@ def _lens(pool: Pool, count: int = 28, focus_um: float = 10.0, padding: int = 2)
     full_wave = np.where(inside, whole[padding:-padding, padding:-padding], 0.0)
     alone = np.where(inside, answer.responses[padding:-padding, padding:-padding], 0.0)
     library = np.where(inside, own[chosen], 0.0)
-    lattice = Lattice((700, 700), (count, count), 0.5)
+    lattice = Lattice(period_dbu=(700, 700), shape=(count, count), database_unit_nm=0.5)
     imaging = Imaging(
         wavelength_um=0.8,
         focal_length_mm=focus_um * 1e-3,

@@ -24,7 +24,16 @@ from metafab.cell.rcwa.certificate import RcwaDetails, solve
 from metafab.cell.rcwa.jones import distance
 from metafab.core.parallel.measure import measured
 
-BASE = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 3.6941, (1.7601, 1.7601), 1.0, 800.0)
+BASE = PillarCell(
+    period_nm=(350.0, 350.0),
+    width_nm=150.0,
+    length_nm=210.0,
+    height_nm=600.0,
+    n_pillar=3.6941,
+    n_substrate=(1.7601, 1.7601),
+    n_ambient=1.0,
+    wavelength_nm=800.0,
+)
 TARGET, MOST_ORDERS, QUICK_ORDERS = 1e-3, 12, 7
 #: Cosines of the reference beyond those of the answer.
 _BEYOND = 4
@@ -108,7 +117,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
 
 def check(cell: PillarCell, most_orders: int) -> Checked:
     """Solve a cell to the target and once more beyond it."""
-    answer = solve(cell, CellNumerics(TARGET, max_orders=most_orders))
+    answer = solve(cell, CellNumerics(target_error=TARGET, max_orders=most_orders))
     details = answer.details
     assert isinstance(details, RcwaDetails)  # the cells have upright walls
     finer = zero_order(cell, details.orders_x + _BEYOND)

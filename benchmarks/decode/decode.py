@@ -82,7 +82,11 @@ def optics_of(design: Design) -> tuple[optics.Source, optics.Imaging, FloatArray
     period_nm = np.broadcast_to(design.unit_cell.cell.period_nm, 2)
     unit_nm = design.mask.database_unit_nm
     sites = math.ceil(1e3 * design.device.aperture_um / min(period_nm)) | 1
-    lattice = Lattice((round(period_nm[0] / unit_nm), round(period_nm[1] / unit_nm)), (sites, sites), unit_nm)
+    lattice = Lattice(
+        period_dbu=(round(period_nm[0] / unit_nm), round(period_nm[1] / unit_nm)),
+        shape=(sites, sites),
+        database_unit_nm=unit_nm,
+    )
     profile = phase.profile_of(design)
     lattice = lattice if design.has_mask else sampling_lattice(profile, design)
     source = optics.ideal_field(profile, lattice, design.device)
@@ -98,7 +102,12 @@ def _realism_rows() -> list[dict[str, Any]]:
     calibration = optics.psf(
         source, imaging, depth_m, optics.PsfNumerics(filter_fwhm_nm=FILTER_FWHM_NM), field_tangents=tangents
     )
-    exact = camera.exact_psf(design.scene, source, imaging, optics.PsfNumerics(96, 1e-2, FILTER_FWHM_NM))
+    exact = camera.exact_psf(
+        design.scene,
+        source,
+        imaging,
+        optics.PsfNumerics(window_px=96, target_error=1e-2, filter_fwhm_nm=FILTER_FWHM_NM),
+    )
     photons = design.scene.photons_per_pixel
     light = f"{FILTER_FWHM_NM:g} nm, {photons:g} e"
     return [
@@ -288,7 +297,7 @@ def smallest_nmae(scene: Scene, decoder: decode.Decoder, frame: camera.RawFrame)
 def texture_of(scene: Scene, piece: SceneObject) -> Texture:
     """Texture of an object in the light of a scene."""
     electrons = scene.photons_per_pixel * scene.quantum_efficiency * piece.brightness
-    return Texture(electrons, piece.texture_contrast, read_noise_e=scene.read_noise_e)
+    return Texture(electrons=electrons, contrast=piece.texture_contrast, read_noise_e=scene.read_noise_e)
 
 
 def sides_px(piece: SceneObject, psf: optics.Psf) -> tuple[int, int]:

@@ -29,7 +29,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
     design = load_design(_DESIGN)
     design = replace(design, device=replace(design.device, aperture_um=500.0))
     source = optics.ideal_field(profile_of(design), layout.lattice_of(design), design.device)
-    numerics = optics.PsfNumerics(48, 1e-2, _FILTER_NM)
+    numerics = optics.PsfNumerics(window_px=48, target_error=1e-2, filter_fwhm_nm=_FILTER_NM)
     table = []
     for cut, azimuth_deg in _CASES[::3] if quick else _CASES:
         substrate = Substrate(thickness_um=_THICKNESS_UM, cut=cut, azimuth_deg=azimuth_deg)

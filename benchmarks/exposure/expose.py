@@ -166,7 +166,7 @@ def _field() -> tuple[PillarMap, BeamPsf]:
     sizes = np.array([(w, length) for w in range(100, 240, 20) for length in range(100, 240, 20)])
     units = np.concatenate([[(0, 0)], sizes * 2]).astype(np.int32)
     index = rng.integers(1, len(units), (FIELD_PILLARS, FIELD_PILLARS)).astype(np.uint16)
-    lattice = Lattice((round(2 * PERIOD_PX * PIXEL_NM),) * 2, index.shape, 0.5)
+    lattice = Lattice(period_dbu=(round(2 * PERIOD_PX * PIXEL_NM),) * 2, shape=index.shape, database_unit_nm=0.5)
     beam = BeamPsf.of([BeamTerm("gauss", 1.0, RANGE_NM)], "assumption")
     return PillarMap.from_array(lattice, units, index, 64), beam
 

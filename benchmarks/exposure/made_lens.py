@@ -118,7 +118,9 @@ def pinhole_shares(design: Design) -> dict[str, float]:
     source = optics.ideal_field(profile_of(design), layout.lattice_of(design), design.device)
     shares = {}
     for name, filter_nm in (("one wavelength", None), ("filter", _FILTER_NM)):
-        pair = optics.psf(source, imaging, [_DEPTH_M], optics.PsfNumerics(128, 3e-3, filter_nm))
+        pair = optics.psf(
+            source, imaging, [_DEPTH_M], optics.PsfNumerics(window_px=128, target_error=3e-3, filter_fwhm_nm=filter_nm)
+        )
         shares[name] = float(pinhole_efficiency(pair).mean())
     return shares
 
@@ -526,7 +528,7 @@ def rows(quick: bool) -> list[dict[str, Any]]:
     table = library.build(design.unit_cell)
     profile = profile_of(design)
     pillars = layout.assign(profile, table, design).pillars
-    imaging, numerics = optics.Imaging.of(design), optics.PsfNumerics(128, 3e-3)
+    imaging, numerics = optics.Imaging.of(design), optics.PsfNumerics(window_px=128, target_error=3e-3)
     ideal = optics.ideal_field(profile, layout.lattice_of(design), design.device)
     of_target = float(pinhole_efficiency(optics.psf(ideal, imaging, [_DEPTH_M], numerics)).mean())
     with measured() as cost:

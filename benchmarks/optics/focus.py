@@ -74,7 +74,9 @@ class Lens:
 
 def lens_of(count: int) -> Lens:
     """Choose the sides of a lens of ``count`` sites across, by field overlap and the best constant phase."""
-    own = np.array([rcwa.solve(replace(CELL, width_nm=s, length_nm=s), CellNumerics(1e-3)).t[0, 0] for s in SIDES_NM])
+    own = np.array(
+        [rcwa.solve(replace(CELL, width_nm=s, length_nm=s), CellNumerics(target_error=1e-3)).t[0, 0] for s in SIDES_NM]
+    )
     place = (np.arange(count) - (count - 1) / 2.0) * CELL.period_nm[0] * 1e-3
     radius = np.hypot(place[:, None], place)
     inside = radius <= 0.5 * count * CELL.period_nm[0] * 1e-3
@@ -123,9 +125,9 @@ def by_metafab(amplitude: ComplexArray, lens: Lens, *, scalar: bool) -> FloatArr
         aperture_um=lens.aperture_um,
     )
     period_dbu = round(CELL.period_nm[0])
-    sites = Sites(Lattice((period_dbu, period_dbu), amplitude.shape, 1.0), amplitude)
+    sites = Sites(Lattice(period_dbu=(period_dbu, period_dbu), shape=amplitude.shape, database_unit_nm=1.0), amplitude)
     points = 2 * round(REACH_UM / STEP_UM) + 2
-    numerics = PsfNumerics(points, 1e-3, vectorial=not scalar, energy=not scalar)
+    numerics = PsfNumerics(window_px=points, target_error=1e-3, vectorial=not scalar, energy=not scalar)
     return psf(sites, imaging, [1e3], numerics).psf[0, 0, 1:, 1:]
 
 

@@ -225,7 +225,7 @@ def _bands(source: WrittenField, imaging: Imaging, depth_m: float) -> list[dict[
     """Costs of one window of one polarisation over a filter of 10 nm, from prepared blocks."""
     table = []
     for target, goal_s in BAND_GOAL_S.items():
-        numerics = PsfNumerics(WINDOW_PX, target, 10.0)
+        numerics = PsfNumerics(window_px=WINDOW_PX, target_error=target, filter_fwhm_nm=10.0)
         tangent, window = DIRECTIONS["axis"], _window(imaging, target)
         with threadpool_limits(1, "blas"):
             windows = window.over_band(tangent, numerics.filter_fwhm_nm)[1:]

@@ -142,7 +142,7 @@ def _sum(name: str, parts: list[dict[str, Any]], error: float | None) -> dict[st
 def _pillar(target_error: float, count: int) -> dict[str, Any]:
     """Median time of one certified pillar of the paper's cell, and of its matrix products and linear systems."""
     sizes_nm = np.random.default_rng(1).uniform(100.0, 250.0, (count, 2)).tolist()
-    cells, numerics = [paper_cell(*size_nm) for size_nm in sizes_nm], CellNumerics(target_error)
+    cells, numerics = [paper_cell(*size_nm) for size_nm in sizes_nm], CellNumerics(target_error=target_error)
     solve(cells[0], numerics)
     found: list[tuple[float, CellResponse]] = []
     for cell in cells:

@@ -27,7 +27,7 @@ def solver_s(unit_cell: UnitCell) -> float:
     spans = (sweep.width_nm, sweep.length_nm)
     cells = [pillar_cell(unit_cell, *(low + u * (high - low) for u, (low, high) in zip(pair, spans, strict=True)))
              for pair in sizes_nm.tolist()]  # fmt: skip
-    numerics = CellNumerics(solver_target(unit_cell), unit_cell.solver.name)
+    numerics = CellNumerics(target_error=solver_target(unit_cell), solver=unit_cell.solver.name)
     solve(cells[0], numerics)
     return least_seconds(lambda: [solve(cell, numerics) for cell in cells]) / len(cells)
 

@@ -29,7 +29,7 @@ class Slice:
     length_nm: float | None = None  #: Size along y, likewise.
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PillarCell:
     """One unit cell under a plane wave."""
 

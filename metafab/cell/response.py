@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class CellNumerics:
     """Numerics of a unit-cell solution."""
 

@@ -92,7 +92,7 @@ def _stack(design: Design, depth_m: FloatArray) -> tuple[Psf, FloatArray]:
     nodes = depth_nodes(imaging, 1.0 / (near + margin), 1.0 / max(far - margin, 0.5 * far), target)
     every = np.unique(np.concatenate([nodes, depth_m]))
     source = ideal_field(profile_of(design), lattice_of(design), design.device)
-    numerics = PsfNumerics(design.verify.window_px, target)
+    numerics = PsfNumerics(window_px=design.verify.window_px, target_error=target)
     return psf(source, imaging, every, numerics, work=Work(workers=1)), nodes
 
 
@@ -128,7 +128,9 @@ def compare(design: Design, *, planes: int = 6, contrast: float = 0.25, progress
     depth_m = np.sort(1.0 / (farthest + share * (nearest - farthest)))
     light = Scene(objects=(SceneObject(depth_m=1.0),)) if design.scene is None else design.scene
     scene = replace(light, objects=(SceneObject(depth_m=1.0, texture_contrast=contrast),))
-    texture = Texture(scene.photons_per_pixel * scene.quantum_efficiency, contrast, read_noise_e=scene.read_noise_e)
+    texture = Texture(
+        electrons=scene.photons_per_pixel * scene.quantum_efficiency, contrast=contrast, read_noise_e=scene.read_noise_e
+    )
     names: list[str] = []
     errors: list[FloatArray] = []
     bounds: list[list[float]] = []

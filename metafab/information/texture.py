@@ -14,7 +14,7 @@ import scipy.fft
 from metafab.core.conventions import FloatArray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Texture:
     """A random texture of known spectrum and the noise of its image."""
 

@@ -81,7 +81,7 @@ def lattice_of(design: Design) -> Lattice:
             raise InputError.single(design.name, "mask.database_unit_nm", expected, got, remedy)
     if hexagonal:  # Odd numbers make the lattice symmetric about both axes.
         columns, rows = columns // 2 * 2 + 1, (rows - 1) // 2 * 2 + 1
-    return Lattice((p_x, p_y), (rows, columns), unit_nm, hexagonal)
+    return Lattice(period_dbu=(p_x, p_y), shape=(rows, columns), database_unit_nm=unit_nm, hexagonal=hexagonal)
 
 
 def aperture_dbu(design: Design) -> int:
@@ -154,7 +154,7 @@ def sampling_lattice(profile: PhaseProfile, design: Design) -> Lattice:
         return fine
     pitch = periods // 2 * 2 * period  # Even, so that the sites next to the axis are whole numbers.
     count = aperture // pitch
-    return Lattice((pitch, pitch), (count, count), fine.database_unit_nm)
+    return Lattice(period_dbu=(pitch, pitch), shape=(count, count), database_unit_nm=fine.database_unit_nm)
 
 
 def _steepest_turn_rad(profile: PhaseProfile, design: Design, step_um: float) -> float:

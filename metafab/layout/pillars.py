@@ -31,7 +31,7 @@ SizeIndexArray = NDArray[np.uint16]
 Result = TypeVar("Result")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Lattice:
     """A lattice centred on the optical axis: all sites of a rectangular grid, or every other one.
 

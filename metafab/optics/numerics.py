@@ -20,7 +20,7 @@ _SMALLEST_TARGET, _SMALLEST_TARGET_IN_BAND = 4e-6, 1e-5
 _SCALAR_SHARE, _LARGEST_SCALAR_TARGET = 0.1, 1e-2
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PsfNumerics:
     """Window, error and spectral band of a PSF stack."""
 

@@ -207,7 +207,9 @@ def _informed(
     scene = design.scene
     assert scene is not None  # validated with the design
     _, defocus = _vergences(design, design.depths_m, _BLIND_DEPTHS)
-    problem = BlindInformation(pupil, defocus, Texture(scene.photons_per_pixel, read_noise_e=scene.read_noise_e))
+    problem = BlindInformation(
+        pupil, defocus, Texture(electrons=scene.photons_per_pixel, read_noise_e=scene.read_noise_e)
+    )
     best = optimise_blind(problem, pupil_field(start.term(1.0), pupil, 1.0), iterations=20, progress=progress)
     plain = problem.of_field(spiral_field(pupil, term.zones, term.exponent))
     return best, float(best.information.mean() / plain.mean())

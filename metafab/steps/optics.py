@@ -338,7 +338,12 @@ def point_spread(
         remedy = "leave inf out of --depths-m: a position in mm is no direction there"
         raise InputError.single("psf", "--object-mm", expected, f"{x_mm:g} {y_mm:g} mm at infinity", remedy)
     # On the axis, all depths lie in one direction and share one pass over the pillars.
-    numerics = optics.PsfNumerics(window_px, target_error, filter_fwhm_nm(job.design), verify.vectorial)
+    numerics = optics.PsfNumerics(
+        window_px=window_px,
+        target_error=target_error,
+        filter_fwhm_nm=filter_fwhm_nm(job.design),
+        vectorial=verify.vectorial,
+    )
     passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
     tangents = [tangent or (1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
     for depths, direction in zip(passes, tangents, strict=True):
@@ -448,7 +453,12 @@ def _verified_psf(job: Job) -> Callable[..., Psf]:
     return partial(
         optics.psf,
         imaging=optics.Imaging.of(job.design),
-        numerics=optics.PsfNumerics(verify.window_px, _psf_error(job), filter_fwhm_nm(job.design), verify.vectorial),
+        numerics=optics.PsfNumerics(
+            window_px=verify.window_px,
+            target_error=_psf_error(job),
+            filter_fwhm_nm=filter_fwhm_nm(job.design),
+            vectorial=verify.vectorial,
+        ),
         work=job.work,
     )
 

@@ -38,7 +38,11 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
         design.verify.depths_m,
         design.tolerance or Tolerances(),
         min(layout.field_sites(design)),
-        optics.PsfNumerics(design.verify.window_px, design.verify.target_error, filter_fwhm_nm(design)),
+        optics.PsfNumerics(
+            window_px=design.verify.window_px,
+            target_error=design.verify.target_error,
+            filter_fwhm_nm=filter_fwhm_nm(design),
+        ),
         made=made,
         transmission=optics.Apodisation.of(design),
         lens=lens_focus(design, imaging) if design.is_lens else None,

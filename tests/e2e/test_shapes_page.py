@@ -56,7 +56,7 @@ def _unit_cell(geometry: dict[str, object], **tables: object) -> UnitCell:
 
 def _solved(geometry: dict[str, object], **changes: float) -> None:
     cell = pillar_cell(_unit_cell(geometry), SIZE_NM, SIZE_NM)
-    solve(replace(cell, **changes), CellNumerics(0.5, max_orders=3))  # type: ignore[arg-type]
+    solve(replace(cell, **changes), CellNumerics(target_error=0.5, max_orders=3))  # type: ignore[arg-type]
 
 
 def _supercell(geometry: dict[str, object], library: Library) -> Supercell:
@@ -80,7 +80,7 @@ def _columns(library: Library, design: Design) -> dict[str, Callable[[dict[str, 
 
     def sloped(geometry: dict[str, object]) -> None:
         cell: PillarCell = corner_cell(_unit_cell(geometry), SIZE_NM, SIZE_NM, {"sidewall_angle_deg": 88.0})
-        solve(cell, CellNumerics(0.5, max_orders=3))
+        solve(cell, CellNumerics(target_error=0.5, max_orders=3))
 
     return {
         "library": _solved,

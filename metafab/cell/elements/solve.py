@@ -72,7 +72,9 @@ def solve_supercell(
     start = time.perf_counter()
     axis, cells = POLARISATIONS.index(polarisation), supercell.periodic_cells()
     t, error = _converged(supercell, (polarisation,), numerics)
-    alone = {size: solve(cell, CellNumerics(_SINGLE_CELL_ERROR)).t[axis, axis] for size, cell in cells.items()}
+    alone = {
+        size: solve(cell, CellNumerics(target_error=_SINGLE_CELL_ERROR)).t[axis, axis] for size, cell in cells.items()
+    }
     sizes = supercell.size_nm.reshape(-1, 2)
     return SupercellResponse(
         supercell=supercell,

@@ -51,7 +51,7 @@ def propose_command(
         *depths_m,
         aperture_um=aperture_um,
         wavelength_um=1e-3 * wavelength_nm,
-        texture=Texture(electrons, contrast, background_e=background_e, read_noise_e=read_noise_e),
+        texture=Texture(electrons=electrons, contrast=contrast, background_e=background_e, read_noise_e=read_noise_e),
     )
     if output is not None:
         from metafab import report

@@ -157,7 +157,7 @@ def _build(
     tolerance, corners = MODEL_SHARE * target, None
     # One thread for the fits: their rounding decides which sizes are solved and must not depend on the machine.
     with threadpool_limits(1):
-        cell_numerics = CellNumerics(SOLVER_SHARE * target, unit_cell.solver.name)
+        cell_numerics = CellNumerics(target_error=SOLVER_SHARE * target, solver=unit_cell.solver.name)
         first_round = grid.size if numerics.every_size else FIRST_ROUND
         size_numerics = replace(cell_numerics, target_error=solver_target(unit_cell, every_size=numerics.every_size))
         sizes = PointSolver(partial(grid.cell, unit_cell), size_numerics, solver, executor, record, progress)

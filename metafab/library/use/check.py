@@ -109,7 +109,9 @@ def check(
         width_nm, length_nm = library.width_nm[column[drawn]], library.length_nm[row[drawn]]
         response = library.at_sizes(width_nm, length_nm)
     target = library.unit_cell.sweep.target_error
-    numerics = CellNumerics(FINER * target if against == "rcwa" else max(target, MEEP_ERROR), against)
+    numerics = CellNumerics(
+        target_error=FINER * target if against == "rcwa" else max(target, MEEP_ERROR), solver=against
+    )
     cells = [library.pillar(float(width), float(length)) for width, length in zip(width_nm, length_nm, strict=True)]
     answers = []
     for answer in in_order(executor or SerialExecutor(), partial(solver, numerics=numerics), cells):

@@ -34,7 +34,7 @@ def index_phase_error_rad(library: Library, *, samples: int = SAMPLES) -> float 
     cells = [pillar_cell(unit_cell, float(width), float(length)) for width, length in sizes]
     raised = [replace(cell, n_pillar=cell.n_pillar + n_error) for cell in cells]
     # The library's target suffices: the truncation error is common to both solutions and cancels.
-    numerics = CellNumerics(sweep.target_error)
+    numerics = CellNumerics(target_error=sweep.target_error)
     t = np.array([np.diagonal(solve(cell, numerics).t) for cell in [*cells, *raised]])
     return phase_rms_rad(t[:samples], t[samples:])
 

@@ -52,7 +52,7 @@ def oblique_field_error(
 
 def _transmitted(cells: list[PillarCell]) -> ComplexArray:
     """Zero-order t_xx and t_yy of each cell, shape (n, 2)."""
-    return np.array([np.diagonal(solve(cell, CellNumerics(_SOLVER_ERROR)).t) for cell in cells])
+    return np.array([np.diagonal(solve(cell, CellNumerics(target_error=_SOLVER_ERROR)).t) for cell in cells])
 
 
 def _largest_change(before: ComplexArray, after: ComplexArray) -> float:

@@ -59,7 +59,7 @@ class LensFocus:
         """
         fine, chosen, images = _finely(imaging), list(self.polarisations), []
         for energy in (True, False):
-            numerics = PsfNumerics(_WINDOW_PX, target_error, energy=energy)
+            numerics = PsfNumerics(window_px=_WINDOW_PX, target_error=target_error, energy=energy)
             window = Window.for_target(fine, numerics)
             pair = [window.light([pupils[p]], p, _AXIS, [self.depth_m], numerics, judged="none")[0][0] for p in chosen]
             images.append(np.array(pair))
@@ -91,7 +91,7 @@ def focus(
     """
     unit_um = imaging.wavelength_um / imaging.numerical_aperture
     fine = _finely(imaging)
-    numerics = PsfNumerics(_WINDOW_PX, target_error)
+    numerics = PsfNumerics(window_px=_WINDOW_PX, target_error=target_error)
     chosen = list(polarisations)
     energy, limit = (
         psf(light, fine, [depth_m], replace(numerics, energy=True), work=work) for light in (source, perfect)

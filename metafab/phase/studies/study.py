@@ -105,7 +105,9 @@ def _texture(design: Design) -> tuple[Texture, float]:
     if (scene := design.scene) is not None:
         electrons, read_noise_e, dark_e = scene.photons_per_pixel, scene.read_noise_e, scene.dark_e
     # Variances of the pixels in one Nyquist pixel add.
-    return Texture(electrons * share, background_e=dark_e * share, read_noise_e=read_noise_e * share**0.5), share
+    return Texture(
+        electrons=electrons * share, background_e=dark_e * share, read_noise_e=read_noise_e * share**0.5
+    ), share
 
 
 def _bounds(design: Design, profile: PhaseProfile, spiral: SpiralZones | None, depth_m: FloatArray) -> DepthBounds:

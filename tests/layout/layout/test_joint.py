@@ -53,7 +53,7 @@ def joint(wide_library: Library) -> JointSizes:
     limits = {"max_width_nm": 210.0, "max_length_nm": 210.0}
     plain = build_size_table(wide_library, database_unit_nm=0.5, **limits)
     wide = build_size_table(wide_library, database_unit_nm=0.5, cells=2)
-    return JointSizes.of(wide, plain, Lattice((700, 700), (1, 1), 0.5), GAP_DBU)
+    return JointSizes.of(wide, plain, Lattice(period_dbu=(700, 700), shape=(1, 1), database_unit_nm=0.5), GAP_DBU)
 
 
 def _block(
@@ -64,7 +64,7 @@ def _block(
     target_rad = 2.0 * np.pi / len(joint.candidates) * random.integers(0, len(joint.candidates), (2, *shape))
     size_index = joint.table.sizes_for(*target_rad)
     size_index[random.random(shape) < empty] = 0
-    return size_index, target_rad, Lattice((700, 700), shape, 0.5)
+    return size_index, target_rad, Lattice(period_dbu=(700, 700), shape=shape, database_unit_nm=0.5)
 
 
 def _overlap(joint: JointSizes, size_index: np.ndarray, target_rad: np.ndarray) -> float:

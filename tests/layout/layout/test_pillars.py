@@ -130,7 +130,7 @@ def test_an_odd_period_is_refused(design: Design) -> None:
 @settings(max_examples=40)
 @given(seed=st.integers(0, 10**6), limit=st.sampled_from([15.0, 20.0, 31.0, 40.0]), rows=st.integers(1, 7))
 def test_all_pairs_are_judged_as_by_plain_geometry(seed: int, limit: float, rows: int) -> None:
-    lattice = Lattice((40, 60), (7, 9), 5.0, hexagonal=True)
+    lattice = Lattice(period_dbu=(40, 60), shape=(7, 9), database_unit_nm=5.0, hexagonal=True)
     carries = lattice.carries(np.arange(7), np.arange(9))
     block = (np.random.default_rng(seed).integers(0, len(SIZES), (7, 9)) * carries).astype(np.uint16)
     found = smallest_gap(block, SIZES, lattice, limit)

@@ -16,7 +16,7 @@ SIZES_NM = np.linspace(100.0, 250.0, 16)
 def responses(unit_cell: UnitCell) -> dict[tuple[float, float], CellResponse]:
     """Half of the sweep; the other half is its mirror image with the polarisations exchanged."""
     return {
-        (width, length): solve(pillar_cell(unit_cell, width, length), CellNumerics(1e-2))
+        (width, length): solve(pillar_cell(unit_cell, width, length), CellNumerics(target_error=1e-2))
         for width in SIZES_NM
         for length in SIZES_NM
         if width <= length

@@ -20,7 +20,11 @@ def _stack(name: str) -> Psf:
     imaging = Imaging.of(design)
     period = round(2 * PERIOD_NM[name])
     count = int(design.device.aperture_um * 2e3 // period)
-    source = ideal_field(phase.profile_of(design), Lattice((period, period), (count, count), 0.5), design.device)
+    source = ideal_field(
+        phase.profile_of(design),
+        Lattice(period_dbu=(period, period), shape=(count, count), database_unit_nm=0.5),
+        design.device,
+    )
     depths = depth_nodes(imaging, design.verify.depths_m[0], design.verify.depths_m[-1], 1e-3)
     return psf(source, imaging, depths, PsfNumerics(window_px=65))
 

@@ -86,7 +86,7 @@ def test_five_centimetres_decode_a_street_at_200_m(far: Design) -> None:
     lens = replace(far, scene=scene, verify=replace(far.verify, field_points=(4, 3)))
     imaging = optics.Imaging.of(lens)
     # Behind lens and split the phase is slow: sites of 20 um change the pair by 5e-5 and its time by much.
-    lattice = Lattice((40000, 40000), (2500, 2500), 0.5)
+    lattice = Lattice(period_dbu=(40000, 40000), shape=(2500, 2500), database_unit_nm=0.5)
     source = optics.ideal_field(phase.profile_of(lens), lattice, lens.device)
     depths_m = optics.depth_nodes(imaging, 145.0, 265.0, 1e-3)
     calibration = optics.psf(source, imaging, depths_m, field_tangents=optics.field_tangents(lens, imaging))

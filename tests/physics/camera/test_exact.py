@@ -35,7 +35,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def exact(lens: tuple[Imaging, IdealField], scene: Scene) -> Psf:
-    return exact_psf(scene, lens[1], lens[0], PsfNumerics(32, TARGET))
+    return exact_psf(scene, lens[1], lens[0], PsfNumerics(window_px=32, target_error=TARGET))
 
 
 def test_every_step_of_the_scene_has_its_own_depth(exact: Psf) -> None:

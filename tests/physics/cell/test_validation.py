@@ -15,7 +15,7 @@ from tests.paper_cell import LOSSLESS
 
 #: Half an ulp in each of some 1e5 operations, on amplitudes of order one.
 ROUNDING = 1e-10
-QUICK = CellNumerics(1e-2, max_orders=5)
+QUICK = CellNumerics(target_error=1e-2, max_orders=5)
 
 LOSSLESS_CELLS: dict[str, dict[str, object]] = {
     "5 um tall": {"height_nm": 5e3},

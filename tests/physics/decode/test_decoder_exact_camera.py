@@ -37,7 +37,7 @@ def test_depth_over_field_and_band_by_the_calibration_alone() -> None:
     one_wavelength = PsfNumerics(window_px=48, target_error=3e-3)
     numerics = replace(one_wavelength, filter_fwhm_nm=FILTER_FWHM_NM)
     calibration = psf(source, lens, depths_m, numerics, field_tangents=(reach, reach[::2]))
-    exact = exact_psf(scene, source, lens, PsfNumerics(64, 1e-2, FILTER_FWHM_NM))
+    exact = exact_psf(scene, source, lens, PsfNumerics(window_px=64, target_error=1e-2, filter_fwhm_nm=FILTER_FWHM_NM))
     one_pair = psf(source, lens, depths_m, one_wavelength)
     errors, naive = [], []
     for seed in (1, 2, 3):

@@ -21,7 +21,7 @@ PERIOD_NM = 350.0
 def pattern(sizes_nm: np.ndarray, index: np.ndarray) -> PillarMap:
     """Pillars on the paper's lattice, in units of half a nanometre."""
     table = np.concatenate([[(0.0, 0.0)], sizes_nm])
-    lattice = Lattice((700, 700), index.shape, 0.5)
+    lattice = Lattice(period_dbu=(700, 700), shape=index.shape, database_unit_nm=0.5)
     return PillarMap.from_array(lattice, (2.0 * table).astype(np.int32), index.astype(np.uint16), 512)
 
 

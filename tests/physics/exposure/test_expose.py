@@ -76,7 +76,7 @@ def test_pillars_are_listed_once_each_and_as_many_as_there_are() -> None:
 @pytest.mark.parametrize("correction", ["dose", "shape"])
 def test_discs_on_a_hexagonal_lattice_print_at_size(correction: Correction) -> None:
     """Doses leave the difference of both diameters, the lattice being no square; shapes a step of 1 nm."""
-    lattice = Lattice((380, 658), (31, 53), 0.5, True)
+    lattice = Lattice(period_dbu=(380, 658), shape=(31, 53), database_unit_nm=0.5, hexagonal=True)
     index = np.random.default_rng(8).integers(1, 9, lattice.shape)
     index[~lattice.carries(np.arange(31), np.arange(53))] = 0
     sizes = np.repeat([[0], *((4 * side,) for side in range(55, 127, 9))], 2, axis=1).astype(np.int32)

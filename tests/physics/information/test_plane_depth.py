@@ -53,7 +53,8 @@ def test_exchanged_images_have_another_depth(kernels: PairKernels, estimator: Pl
 
 def test_the_bound_falls_with_light_and_is_large_for_a_psf_that_does_not_change(kernels: PairKernels) -> None:
     dim, bright = (
-        plane_estimator(kernels, 96, Texture(e, read_noise_e=0.0)).bound_m(0.003, 0.25) for e in (300.0, 30000.0)
+        plane_estimator(kernels, 96, Texture(electrons=e, read_noise_e=0.0)).bound_m(0.003, 0.25)
+        for e in (300.0, 30000.0)
     )
     # Information grows with the light where the texture stands above the noise, with its square where it does not.
     assert 10.0 <= dim / bright <= 100.0
@@ -101,7 +102,7 @@ def test_two_equal_images_of_a_gaussian_texture_have_whittles_information() -> N
     base = helix_psf(np.linspace(0.0025, 0.0034, 9), window_px=8)
     # Deltas narrower than a pixel are spread over it by the pixel's aperture: the sinc of its width.
     kernels = PairKernels(dataclasses.replace(base, psf=psf))
-    estimator = plane_estimator(kernels, 32, Texture(1e6, read_noise_e=0.0))
+    estimator = plane_estimator(kernels, 32, Texture(electrons=1e6, read_noise_e=0.0))
     index = 30
     transfer = estimator.transfer[index, 0]
     slope = (estimator.transfer[index + 1, 0] - estimator.transfer[index - 1, 0]) / (

@@ -16,7 +16,7 @@ SIDE = 64
 
 def test_a_texture_has_the_variance_of_its_contrast() -> None:
     white = np.abs(scipy.fft.rfft2(np.random.default_rng(1).standard_normal((64, 64)))) ** 2
-    coloured = scipy.fft.irfft2(np.sqrt(Texture(100.0, 0.3).half_power(64) * white), (64, 64))
+    coloured = scipy.fft.irfft2(np.sqrt(Texture(electrons=100.0, contrast=0.3).half_power(64) * white), (64, 64))
     assert coloured.std() == pytest.approx(30.0, rel=0.35)  # a few low frequencies hold most of it
 
 
@@ -45,7 +45,7 @@ def gaussian(width_px: float, share: float = 1.0) -> FloatArray:
 def test_the_error_is_that_of_a_wiener_filter_on_noisy_pictures() -> None:
     """Two images of one texture through unlike kernels, filtered by the Wiener filter: mean of 40 pictures."""
     electrons, contrast, kernels = 1000.0, 0.2, np.stack([gaussian(1.0), gaussian(2.5, 0.7)])
-    power = Texture(electrons, contrast).half_power(SIDE)
+    power = Texture(electrons=electrons, contrast=contrast).half_power(SIDE)
     rng = np.random.default_rng(3)
     transfers = scipy.fft.rfft2(kernels, (SIDE, SIDE))
     noises = electrons * kernels.sum(axis=(1, 2))
@@ -62,20 +62,20 @@ def test_the_error_is_that_of_a_wiener_filter_on_noisy_pictures() -> None:
         restored = scipy.fft.irfft2(filtered * power / (1.0 + power * gain), (SIDE, SIDE))
         true = scipy.fft.irfft2(texture, (SIDE, SIDE))
         lost, total = lost + float(((restored - true) ** 2).sum()), total + float((true**2).sum())
-    expected = restored_error(kernels, Texture(electrons, contrast, read_noise_e=0.0), side_px=SIDE)
+    expected = restored_error(kernels, Texture(electrons=electrons, contrast=contrast, read_noise_e=0.0), side_px=SIDE)
     assert math.sqrt(lost / total) == pytest.approx(expected, rel=0.03)
 
 
 def test_a_second_image_helps_and_wider_blur_hurts() -> None:
     narrow, wide = gaussian(1.0)[None], gaussian(3.0)[None]
     errors = [
-        restored_error(k, Texture(3000.0, 0.25, read_noise_e=0.0))
+        restored_error(k, Texture(electrons=3000.0, contrast=0.25, read_noise_e=0.0))
         for k in (np.concatenate([narrow, wide]), narrow, wide)
     ]
     assert errors[0] < errors[1] < errors[2] < 1.0
 
 
 def test_darkness_restores_nothing() -> None:
-    assert restored_error(gaussian(1.0)[None] * 1e-12, Texture(1e-6, 0.25, read_noise_e=2.0)) == pytest.approx(
-        1.0, abs=1e-6
-    )
+    assert restored_error(
+        gaussian(1.0)[None] * 1e-12, Texture(electrons=1e-6, contrast=0.25, read_noise_e=2.0)
+    ) == pytest.approx(1.0, abs=1e-6)

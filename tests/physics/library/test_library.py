@@ -124,14 +124,14 @@ def test_diameters_between_and_ellipses_are_solved(circles: Library) -> None:
     assert found.t_xx[1] == circles.at_sizes(120.0, 120.0).t_xx
     assert found.t_xx[2] == found.t_yy[3]
     for (width_nm, length_nm), t_xx in zip(sizes_nm, found.t_xx, strict=True):
-        exact = solve(circles.pillar(width_nm, length_nm), CellNumerics(5e-4)).t[0, 0]
+        exact = solve(circles.pillar(width_nm, length_nm), CellNumerics(target_error=5e-4)).t[0, 0]
         assert abs(t_xx - exact) < 2e-3
 
 
 @pytest.fixture
 def two_circles(circles: Library) -> WrittenField:
     """Circles of 110 and 150 nm as rows 1 and 2 of the table."""
-    lattice = Lattice((600, 600), (2, 2), 0.5)
+    lattice = Lattice(period_dbu=(600, 600), shape=(2, 2), database_unit_nm=0.5)
     size_dbu = np.array([[0, 0], [220, 220], [300, 300]], dtype=np.int32)
     index = np.array([[1, 2], [2, 1]], dtype=np.uint16)
     return written_field(PillarMap.from_array(lattice, size_dbu, index, 2), circles)
@@ -144,8 +144,8 @@ def test_fabrication_corners_of_circles_are_those_of_their_cells(
     corner = corner_fields(two_circles, circles, {axis: deviation})[1]
     for row, size_nm in ((1, 110.0), (2, 150.0)):
         at = {axis: circles.unit_cell.nominal(axis) + deviation}
-        exact = solve(corner_cell(circles.unit_cell, size_nm, size_nm, at), CellNumerics(1e-3)).t[0, 0]
-        nominal = solve(circles.pillar(size_nm, size_nm), CellNumerics(1e-3)).t[0, 0]
+        exact = solve(corner_cell(circles.unit_cell, size_nm, size_nm, at), CellNumerics(target_error=1e-3)).t[0, 0]
+        nominal = solve(circles.pillar(size_nm, size_nm), CellNumerics(target_error=1e-3)).t[0, 0]
         assert corner.field.table[row, 0] / two_circles.table[row, 0] == pytest.approx(exact / nominal, abs=4e-3)
 
 
@@ -170,7 +170,10 @@ def test_circles_have_axes_like_other_shapes(tmp_path: Path) -> None:
     np.testing.assert_array_equal(there.known, np.eye(6, dtype=bool))
     for diameter_nm in (120.0, 180.0, 220.0):
         found = there.at_sizes(diameter_nm, diameter_nm)
-        own = solve(pillar_cell(cell, diameter_nm + 3.0, diameter_nm + 3.0, wavelength_nm=638.0), CellNumerics(4e-3))
+        own = solve(
+            pillar_cell(cell, diameter_nm + 3.0, diameter_nm + 3.0, wavelength_nm=638.0),
+            CellNumerics(target_error=4e-3),
+        )
         assert abs(found.t_xx - own.t[0, 0]) < found.error + own.error < 8e-2
         assert found.t_yy == pytest.approx(found.t_xx, abs=1e-9)
     with pytest.raises(InputError, match="625 to 641"):

@@ -44,7 +44,13 @@ def asking(depth_error: float) -> Design:
 def test_psfs_change_with_depth_as_the_defocus_over_the_aperture(depth_m: float) -> None:
     """Measured: 1.020 to 1.042 of the closed form, for zones that are not optimised."""
     near, far = depth_m * 0.999, depth_m * 1.001
-    pair = psf(light(), Imaging.of(plain()), (near, depth_m, far), PsfNumerics(96, 1e-4), work=Work(workers=1)).psf
+    pair = psf(
+        light(),
+        Imaging.of(plain()),
+        (near, depth_m, far),
+        PsfNumerics(window_px=96, target_error=1e-4),
+        work=Work(workers=1),
+    ).psf
     measured = relative_l2(pair[:, 2], pair[:, 0]) / 0.002
     assert measured == pytest.approx(depth_slope(plain(), depth_m), rel=0.05)
 
@@ -62,7 +68,7 @@ def test_field_points_keep_the_error_that_is_left_to_the_field(depth_error: floa
     """Half of the numerical error is that of the field in the mean; an outermost cell has up to twice as much."""
     design = with_depth_target(asking(depth_error))
     imaging, depths_m = Imaging.of(design), (0.0029,)
-    numerics = PsfNumerics(64, design.verify.target_error)
+    numerics = PsfNumerics(window_px=64, target_error=design.verify.target_error)
     grid = field_tangents(design, imaging)
     pair = psf(light(), imaging, depths_m, numerics, field_tangents=grid, work=Work(workers=1))
     allowed = 0.5 * NUMERICAL_SHARE * depth_error * depth_slope(design, 0.0033)

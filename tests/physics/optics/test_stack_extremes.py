@@ -67,7 +67,7 @@ class _Uniform:
     @property
     def lattice(self) -> Lattice:
         count = 2 * math.ceil(0.5e3 * self.aperture_um / 350.0)
-        return Lattice((700, 700), (count, count), 0.5)
+        return Lattice(period_dbu=(700, 700), shape=(count, count), database_unit_nm=0.5)
 
     def tiles(self) -> Iterator[FieldTile]:
         count, step = self.lattice.shape[0], self.tile_sites

@@ -100,7 +100,10 @@ def test_sloped_walls_of_circles_leave_the_other_corners_to_spectral_elements(un
     circles = library.build(replace(unit_cell, cell=replace(unit_cell.cell, shape="circle"), sweep=sweep))
     sizes = np.array([(0, 0), (200, 200), (280, 280), (360, 360)], dtype=np.int32)
     index = np.array([[1, 2], [3, 1]], dtype=np.uint16)
-    mask = written_field(PillarMap.from_array(Lattice((700, 700), (2, 2), 0.5), sizes, index, 50), circles)
+    mask = written_field(
+        PillarMap.from_array(Lattice(period_dbu=(700, 700), shape=(2, 2), database_unit_nm=0.5), sizes, index, 50),
+        circles,
+    )
     upright = corner_fields(mask, circles, {"height_nm": 10.0})
     reported: list[tuple[float, float]] = []
     *among, narrow, wide = corner_fields(
@@ -122,7 +125,7 @@ def test_corners_of_slanting_light_are_solved_in_it(small_library: Library) -> N
     slanting = replace(small_library, corner={"angle_x_deg": 20.0})
     sizes = np.array([[0, 0], [240, 300], [300, 240]], dtype=np.int32)
     index = np.array([[1, 2], [2, 1]], dtype=np.uint16)
-    pillars = PillarMap.from_array(Lattice((700, 700), (2, 2), 0.5), sizes, index, 50)
+    pillars = PillarMap.from_array(Lattice(period_dbu=(700, 700), shape=(2, 2), database_unit_nm=0.5), sizes, index, 50)
     taller = corner_fields(written_field(pillars, slanting), slanting, {"height_nm": 10.0})[1]
     tasks = [
         (corner_cell(small_library.unit_cell, *size, {"angle_x_deg": 20.0, **corner}), 8)

@@ -85,8 +85,10 @@ def test_gain_is_refused(unit_cell: UnitCell) -> None:
 
 def test_anisotropic_substrate_gives_each_polarisation_its_index(unit_cell: UnitCell) -> None:
     cell = pillar_cell(unit_cell, 150.0, 210.0)
-    mixed = solve(replace(cell, n_substrate=(1.7601, 1.7522)), CellNumerics(1e-2))
-    ordinary, extraordinary = (solve(replace(cell, n_substrate=(n, n)), CellNumerics(1e-2)) for n in (1.7601, 1.7522))
+    mixed = solve(replace(cell, n_substrate=(1.7601, 1.7522)), CellNumerics(target_error=1e-2))
+    ordinary, extraordinary = (
+        solve(replace(cell, n_substrate=(n, n)), CellNumerics(target_error=1e-2)) for n in (1.7601, 1.7522)
+    )
     assert abs(mixed.t[0, 0] - ordinary.t[0, 0]) <= 2e-2
     assert abs(mixed.t[1, 1] - extraordinary.t[1, 1]) <= 2e-2
     with pytest.raises(InputError, match="angle_deg"):
@@ -95,10 +97,10 @@ def test_anisotropic_substrate_gives_each_polarisation_its_index(unit_cell: Unit
 
 def test_error_reached_or_confessed(unit_cell: UnitCell) -> None:
     cell = pillar_cell(unit_cell, 150.0, 210.0)
-    reached = solve(cell, CellNumerics(1e-2))
+    reached = solve(cell, CellNumerics(target_error=1e-2))
     assert reached.converged
     assert reached.error <= 1e-2
-    given_up = solve(cell, CellNumerics(1e-9, max_orders=5))
+    given_up = solve(cell, CellNumerics(target_error=1e-9, max_orders=5))
     assert not given_up.converged
     assert given_up.error > 1e-9
 
@@ -107,13 +109,15 @@ def test_many_cells_come_back_with_their_cells(unit_cell: UnitCell) -> None:
     cells = [pillar_cell(unit_cell, width, 150.0) for width in (100.0, 120.0, 140.0)]
     seen: list[float] = []
     responses = list(
-        solve_many(cells, CellNumerics(1e-2), progress=lambda step, done, total: seen.append(done), batch=2)
+        solve_many(
+            cells, CellNumerics(target_error=1e-2), progress=lambda step, done, total: seen.append(done), batch=2
+        )
     )
     assert {response.cell for response in responses} == set(cells)
     assert len(seen) == 2
     assert seen[-1] == 3
     for response in responses:
-        np.testing.assert_array_equal(response.t, solve(response.cell, CellNumerics(1e-2)).t)
+        np.testing.assert_array_equal(response.t, solve(response.cell, CellNumerics(target_error=1e-2)).t)
 
 
 def test_equal_and_exchanged_cells_are_solved_once(unit_cell: UnitCell) -> None:
@@ -122,12 +126,12 @@ def test_equal_and_exchanged_cells_are_solved_once(unit_cell: UnitCell) -> None:
     lifted = replace(plain[0], period_nm=(350.0, 320.0), n_substrate=(1.76, 1.752), under=film)
     slanting = [replace(cell, angle_deg=10.0) for cell in plain[:2]]
     cells = [*plain, pillar_cell(unit_cell, 130.0, 130.0), lifted, lifted.exchanged(), *slanting]
-    responses = list(solve_many(cells, CellNumerics(1e-2), SerialExecutor(), batch=3))
+    responses = list(solve_many(cells, CellNumerics(target_error=1e-2), SerialExecutor(), batch=3))
     assert Counter(response.cell for response in responses) == Counter(cells)
     # One answer in no time for each exchanged cell; an equal one is the same answer.
     assert sum(response.seconds == 0.0 for response in responses) == 2
     for response in responses:
-        alone = solve(response.cell, CellNumerics(1e-2))
+        alone = solve(response.cell, CellNumerics(target_error=1e-2))
         np.testing.assert_allclose(response.t, alone.t, atol=1e-9)
         np.testing.assert_allclose(response.r, alone.r, atol=1e-9)
         np.testing.assert_allclose(response.transmittance, alone.transmittance, atol=1e-9)
@@ -135,7 +139,7 @@ def test_equal_and_exchanged_cells_are_solved_once(unit_cell: UnitCell) -> None:
             assert getattr(response.details, name) == pytest.approx(getattr(alone.details, name), abs=1e-9)
         assert response.error == pytest.approx(alone.error, rel=1e-4)
     with pytest.raises(ValueError, match="axes may be exchanged"):
-        solve(slanting[0], CellNumerics(1e-2)).exchanged()
+        solve(slanting[0], CellNumerics(target_error=1e-2)).exchanged()
 
 
 def test_slopes_leave_empty_cells_and_closed_axes_alone(unit_cell: UnitCell) -> None:
@@ -185,8 +189,8 @@ def test_caps_and_films_of_a_file_are_layers_of_its_cells(unit_cell: UnitCell, t
     path.write_text(canonical_toml(capped))
     assert load_unit_cell(path) == capped
     # They change the answer by more than both errors.
-    bare = solve(pillar_cell(unit_cell, 150.0, 210.0), CellNumerics(1e-2))
-    assert np.abs(solve(cell, CellNumerics(1e-2)).t - bare.t).max() > 2e-2
+    bare = solve(pillar_cell(unit_cell, 150.0, 210.0), CellNumerics(target_error=1e-2))
+    assert np.abs(solve(cell, CellNumerics(target_error=1e-2)).t - bare.t).max() > 2e-2
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from metafab.library import Library
 
 #: Sites along x repeat after 7, so that a local period is known; along y all are alike.
 PERIOD_SITES = 7
-LATTICE = Lattice((700, 700), (60, 80), 0.5)
+LATTICE = Lattice(period_dbu=(700, 700), shape=(60, 80), database_unit_nm=0.5)
 QUICK = SupercellSettings(pixels_per_period=8, decay=1e-2)
 
 

@@ -58,7 +58,7 @@ def test_rows_along_y_are_the_same_rows_turned(pillars: PillarMap, ramp_library:
     """The turned mask under turned light, by RCWA: the same figures."""
     numerics = CouplingNumerics(rcwa=ElementNumerics(1.0, (2.0, 2.5)))
     turned = PillarMap.from_array(
-        Lattice((700, 700), (80, 60), 0.5),
+        Lattice(period_dbu=(700, 700), shape=(80, 60), database_unit_nm=0.5),
         np.ascontiguousarray(pillars.size_dbu[:, ::-1]),
         np.ascontiguousarray(pillars.to_array().T),
         16,

@@ -12,7 +12,7 @@ from shapely.geometry import box
 from metafab.layout import Lattice, smallest_gap
 from tests.gaps_by_numpy import gaps_by_numpy
 
-LATTICE = Lattice((70, 60), (6, 7), 5.0)
+LATTICE = Lattice(period_dbu=(70, 60), shape=(6, 7), database_unit_nm=5.0)
 SIZES = np.array([[0, 0], [20, 20], [50, 20], [20, 50], [50, 50], [70, 60]], dtype=np.int32)
 BLOCKS = arrays(np.uint16, (6, 7), elements=st.integers(0, len(SIZES) - 1))
 

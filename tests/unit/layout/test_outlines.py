@@ -112,7 +112,9 @@ def test_outlines_of_other_shapes_are_not_known() -> None:
 def test_gaps_are_those_of_the_curves(outline: Outline, hexagonal: bool, seed: int) -> None:
     random = np.random.default_rng(seed)
     # Diagonal neighbours are the nearest ones: every other site is empty, or the lattice is hexagonal.
-    lattice = Lattice((350, 606) if hexagonal else (700, 700), (7, 7), 0.5, hexagonal)
+    lattice = Lattice(
+        period_dbu=(350, 606) if hexagonal else (700, 700), shape=(7, 7), database_unit_nm=0.5, hexagonal=hexagonal
+    )
     size = np.concatenate([[[0, 0]], 2 * random.integers(150, 330, (12, 2))]).astype(np.int32)
     index = random.integers(1, 13, lattice.shape).astype(np.uint16)
     index[(np.add.outer(np.arange(7), np.arange(7)) % 2).astype(bool)] = 0

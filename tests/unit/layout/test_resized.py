@@ -13,7 +13,7 @@ def lens(shape: tuple[int, int] = (600, 40)) -> PillarMap:
     """Three sizes, and sites without a pillar."""
     index = np.random.default_rng(2).integers(0, 4, shape).astype(np.uint16)
     table = np.array([(0, 0), (200, 300), (240, 240), (300, 200)], dtype=np.int32)
-    return PillarMap.from_array(Lattice((700, 700), shape, 0.5), table, index, 64)
+    return PillarMap.from_array(Lattice(period_dbu=(700, 700), shape=shape, database_unit_nm=0.5), table, index, 64)
 
 
 def test_sizes_are_rounded_and_sites_kept() -> None:
@@ -47,7 +47,7 @@ def test_what_is_not_printed_is_missing_and_nothing_exceeds_its_cell() -> None:
 def test_steps_are_doubled_until_the_sizes_fit() -> None:
     """700 x 700 sizes in steps of half a nanometre do not fit; 350 x 350 do not; 175 x 175 do."""
     side = 700
-    lattice = Lattice((700, 700), (side, side), 0.5)
+    lattice = Lattice(period_dbu=(700, 700), shape=(side, side), database_unit_nm=0.5)
     pillars = PillarMap.from_array(lattice, np.array([(0, 0), (2, 2)], np.int32), np.ones((side, side), np.uint16), 64)
     width, length = np.meshgrid(0.5 * np.arange(1, side + 1), 0.5 * np.arange(1, side + 1))
     wanted = np.stack([width, length])

@@ -24,6 +24,8 @@ def test_missing_sizes_and_wrong_units_are_named(row: str, named: str, tmp_path:
     first = "0.35,0.0,0.14,0.15" if "0.14" in row else "0.35,0.0,140,150"
     table.write_text(f"x_um,y_um,width_nm,length_nm\n{first}\n{row}\n", encoding="utf-8")
     units = np.array([[0, 0], [280, 300]], dtype=np.int32)
-    pillars = PillarMap.from_array(Lattice((700, 700), (3, 3), 0.5), units, np.ones((3, 3), dtype=np.uint16), 64)
+    pillars = PillarMap.from_array(
+        Lattice(period_dbu=(700, 700), shape=(3, 3), database_unit_nm=0.5), units, np.ones((3, 3), dtype=np.uint16), 64
+    )
     with pytest.raises(InputError, match=named):
         read_measured(table).sites(pillars)

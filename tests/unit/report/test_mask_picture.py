@@ -50,7 +50,7 @@ def test_big_lenses_are_binned() -> None:
 
 
 def test_mask_picture_of_a_hexagonal_lattice_shows_as_many_pillars_of_their_own_area() -> None:
-    lattice = Lattice((380, 658), (61, 121), 0.5, hexagonal=True)
+    lattice = Lattice(period_dbu=(380, 658), shape=(61, 121), database_unit_nm=0.5, hexagonal=True)
     index = lattice.carries(np.arange(61), np.arange(121)).astype(np.uint16)
     circle = Outline("ellipse", 0.5)
     pillars = PillarMap.from_array(lattice, np.array([[0, 0], [300, 300]], dtype=np.int32), index, 40)

@@ -17,7 +17,17 @@ from metafab.cell.curved.mesh import quarter_mesh
 from metafab.cell.rcwa import jones
 from metafab.cell.rcwa.jones import distance
 
-CIRCLE = PillarCell((330.0, 330.0), 180.0, 180.0, 800.0, 2.461, (1.461, 1.461), 1.0, 532.0, shape="ellipse")
+CIRCLE = PillarCell(
+    period_nm=(330.0, 330.0),
+    width_nm=180.0,
+    length_nm=180.0,
+    height_nm=800.0,
+    n_pillar=2.461,
+    n_substrate=(1.461, 1.461),
+    n_ambient=1.0,
+    wavelength_nm=532.0,
+    shape="ellipse",
+)
 ELLIPSE = replace(CIRCLE, period_nm=(340.0, 300.0), width_nm=110.0, length_nm=200.0)
 ROUNDED = replace(CIRCLE, shape="rectangle", length_nm=120.0, corner_radius_nm=25.0)
 RING = replace(CIRCLE, shape="ring", hole_nm=80.0)
@@ -56,7 +66,17 @@ def test_thin_rods_in_the_long_wave_limit_are_a_film_of_maxwell_garnetts_index()
 
     The finite period over the wavelength, squared, leaves 4e-4 of the phase.
     """
-    rods = PillarCell((40.0, 40.0), 18.0, 18.0, 400.0, 1.8, (1.0, 1.0), 1.0, 2000.0, shape="ellipse")
+    rods = PillarCell(
+        period_nm=(40.0, 40.0),
+        width_nm=18.0,
+        length_nm=18.0,
+        height_nm=400.0,
+        n_pillar=1.8,
+        n_substrate=(1.0, 1.0),
+        n_ambient=1.0,
+        wavelength_nm=2000.0,
+        shape="ellipse",
+    )
     fill, b = 0.25 * math.pi * (18.0 / 40.0) ** 2, (1.8**2 - 1.0) / (1.8**2 + 1.0)
     n_film = math.sqrt((1.0 + fill * b) / (1.0 - fill * b))
     film = replace(rods, width_nm=40.0, length_nm=40.0, n_pillar=n_film, shape="rectangle")
@@ -66,7 +86,18 @@ def test_thin_rods_in_the_long_wave_limit_are_a_film_of_maxwell_garnetts_index()
 
 def test_thin_tubes_in_the_long_wave_limit_are_a_film_of_maxwell_garnetts_index() -> None:
     """As of rods, with the polarisability b of a coated cylinder (Bohren and Huffman, section 5.4)."""
-    tubes = PillarCell((40.0, 40.0), 18.0, 18.0, 400.0, 1.8, (1.0, 1.0), 1.0, 2000.0, shape="ring", hole_nm=12.0)
+    tubes = PillarCell(
+        period_nm=(40.0, 40.0),
+        width_nm=18.0,
+        length_nm=18.0,
+        height_nm=400.0,
+        n_pillar=1.8,
+        n_substrate=(1.0, 1.0),
+        n_ambient=1.0,
+        wavelength_nm=2000.0,
+        shape="ring",
+        hole_nm=12.0,
+    )
     fill, eps, inner = 0.25 * math.pi * (18.0 / 40.0) ** 2, 1.8**2, (12.0 / 18.0) ** 2
     b = (eps - 1.0) * (eps + 1.0) * (1.0 - inner) / ((eps + 1.0) ** 2 - inner * (eps - 1.0) ** 2)
     n_film = math.sqrt((1.0 + fill * b) / (1.0 - fill * b))

@@ -15,7 +15,15 @@ from metafab.core.errors import InputError
 
 #: Lossless titanium dioxide on glass.
 CELL = PillarCell(
-    (350.0, 350.0), 0.0, 0.0, 600.0, 2.4 + 0j, (1.46 + 0j,) * 2, 1.0 + 0j, wavelength_nm=532.0, shape="ellipse"
+    period_nm=(350.0, 350.0),
+    width_nm=0.0,
+    length_nm=0.0,
+    height_nm=600.0,
+    n_pillar=2.4 + 0j,
+    n_substrate=(1.46 + 0j,) * 2,
+    n_ambient=1.0 + 0j,
+    wavelength_nm=532.0,
+    shape="ellipse",
 )
 RAMP = [(130.0, 130.0), (190.0, 190.0), (240.0, 240.0)]
 COARSE = 2.0
@@ -28,7 +36,7 @@ def _row(*sizes: tuple[float, float], cell: PillarCell = CELL) -> Supercell:
 def test_one_ellipse_is_its_certified_cell() -> None:
     """Whose mesh is another one, of a quarter of the cell. The bound is that of two orders of the supercell's mesh."""
     found = supercell_orders(_row((200.0, 160.0)), ElementNumerics(1e-9, (3.0, 4.0)))
-    own = solve(replace(CELL, width_nm=200.0, length_nm=160.0), CellNumerics(2e-3))
+    own = solve(replace(CELL, width_nm=200.0, length_nm=160.0), CellNumerics(target_error=2e-3))
     assert np.linalg.norm(found.t[0] - own.t) < own.error + found.error * np.linalg.norm(found.t)
     assert found.error < 6e-2
 
@@ -36,7 +44,9 @@ def test_one_ellipse_is_its_certified_cell() -> None:
 def test_a_circle_and_a_gap_are_a_cell_of_twice_the_period() -> None:
     row = _row((180.0, 180.0), (0.0, 0.0))
     t = orders_at(row, ("x",), 3.0)
-    own = solve(replace(CELL, period_nm=(700.0, 350.0), width_nm=180.0, length_nm=180.0), CellNumerics(1e-2))
+    own = solve(
+        replace(CELL, period_nm=(700.0, 350.0), width_nm=180.0, length_nm=180.0), CellNumerics(target_error=1e-2)
+    )
     assert abs(t[1, 0, 0] - own.t[0, 0]) < 2e-2
 
 

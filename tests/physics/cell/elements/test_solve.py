@@ -28,7 +28,7 @@ def _row(*sizes: tuple[float, float], cell: PillarCell = EMPTY) -> Supercell:
 def test_one_pillar_is_its_certified_cell(size: tuple[float, float]) -> None:
     """The last stands on a resonance. The Fourier solver shares neither basis nor half spaces with this one."""
     found = supercell_orders(_row(size), ElementNumerics(4e-3))
-    own = rcwa.solve(replace(EMPTY, width_nm=size[0], length_nm=size[1]), CellNumerics(1e-4)).t
+    own = rcwa.solve(replace(EMPTY, width_nm=size[0], length_nm=size[1]), CellNumerics(target_error=1e-4)).t
     assert relative_rms(found.t[0] - own, own) < found.error
     assert found.error * np.linalg.norm(own) < 8e-3
 
@@ -45,7 +45,7 @@ def test_a_pillar_and_a_gap_are_a_cell_of_twice_the_period() -> None:
     wide = replace(EMPTY, period_nm=(700.0, 350.0), width_nm=130.0, length_nm=170.0)
     supercell = _row((130.0, 170.0), (0.0, 0.0))
     found = supercell_orders(supercell, ElementNumerics(4e-3))
-    own = rcwa.solve(wide, CellNumerics(1e-3))
+    own = rcwa.solve(wide, CellNumerics(target_error=1e-3))
     zero = int(np.flatnonzero(found.order[:, 0] == 0)[0])
     assert np.abs(found.t[zero] - own.t).max() < own.error + found.error * np.linalg.norm(found.t)
 

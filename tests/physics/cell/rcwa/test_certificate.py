@@ -15,7 +15,16 @@ from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.core.conventions import Side
 from tests.paper_cell import SILICON
 
-TITANIA = PillarCell((300.0, 300.0), 110.0, 190.0, 600.0, 2.42, (1.46, 1.46), 1.0, 532.0)
+TITANIA = PillarCell(
+    period_nm=(300.0, 300.0),
+    width_nm=110.0,
+    length_nm=190.0,
+    height_nm=600.0,
+    n_pillar=2.42,
+    n_substrate=(1.46, 1.46),
+    n_ambient=1.0,
+    wavelength_nm=532.0,
+)
 #: Resonances of the silicon pillar (the first five lie on guided modes, the sixth is the sharpest found by search),
 #: smooth ones, and another material.
 CELLS = [
@@ -47,7 +56,7 @@ def references() -> list[ZeroOrder]:
 @pytest.mark.parametrize("target_error", [1e-2, 1e-3, 1e-4])
 def test_stated_error_bounds_the_true_error(references: list[ZeroOrder], target_error: float) -> None:
     for cell, reference in zip(CELLS, references, strict=True):
-        response = solve(cell, CellNumerics(target_error))
+        response = solve(cell, CellNumerics(target_error=target_error))
         true_error = max(np.abs(response.t - reference.t).max(), np.abs(response.r - reference.r).max())
         assert response.converged
         assert true_error <= response.error + REFERENCE_ERROR
@@ -88,7 +97,7 @@ def test_stated_error_bounds_the_true_error(references: list[ZeroOrder], target_
 )
 def test_bound_holds_far_from_where_it_was_measured(change: dict[str, object]) -> None:
     cell = replace(SILICON, **change)  # type: ignore[arg-type]
-    response = solve(cell, CellNumerics(1e-2, max_orders=8))
+    response = solve(cell, CellNumerics(target_error=1e-2, max_orders=8))
     reference = zero_order(cell, 9 if cell.angle_deg else 12)
     true_error = max(np.abs(response.t - reference.t).max(), np.abs(response.r - reference.r).max())
     # Differences of 12 orders to more are below a tenth of these bounds, except for gold, which does not converge.
@@ -98,11 +107,30 @@ def test_bound_holds_far_from_where_it_was_measured(change: dict[str, object]) -
 #: Found by search, when the shorter period had fewer cosines and wide cells counted as measured.
 HARD_CELLS = {
     "1 : 2.6": (
-        PillarCell((495.755, 190.865), 221.242, 143.223, 302.025, 3.7604, (1.7601, 1.7601), 1.0, 800.0),
+        PillarCell(
+            period_nm=(495.755, 190.865),
+            width_nm=221.242,
+            length_nm=143.223,
+            height_nm=302.025,
+            n_pillar=3.7604,
+            n_substrate=(1.7601, 1.7601),
+            n_ambient=1.0,
+            wavelength_nm=800.0,
+        ),
         5.9e-3,
     ),
     "2.6 : 1": (
-        PillarCell((178.44, 467.24), 148.61, 289.65, 296.97, 2.4175, (1.7601, 1.7601), 1.0, 800.0, side="ambient"),
+        PillarCell(
+            period_nm=(178.44, 467.24),
+            width_nm=148.61,
+            length_nm=289.65,
+            height_nm=296.97,
+            n_pillar=2.4175,
+            n_substrate=(1.7601, 1.7601),
+            n_ambient=1.0,
+            wavelength_nm=800.0,
+            side="ambient",
+        ),
         2.4e-3,
     ),
     "narrow": (replace(SILICON, period_nm=(140.0, 350.0), width_nm=60.0), 1e-2),
@@ -131,17 +159,24 @@ HARD_CELLS = {
 #: Answers that were off by more than stated: 5 cosines in tall, narrow or staggered cells may be worse than 3.
 TALL_CELLS = {
     "2.2 wavelengths": PillarCell(
-        (182.2364, 182.2364), 112.5117, 27.1462, 1489.57, 3.7377, (1.76, 1.76), 1.0, 902.384, side="ambient"
+        period_nm=(182.2364, 182.2364), width_nm=112.5117, length_nm=27.1462, height_nm=1489.57, n_pillar=3.7377,
+        n_substrate=(1.76, 1.76), n_ambient=1.0, wavelength_nm=902.384, side="ambient"
     ),
     "0.7 wavelengths": PillarCell(
-        (233.909, 233.909), 46.18, 149.89, 1104.04, 3.797, (1.76, 1.76), 1.0, 1570.04, side="ambient"
+        period_nm=(233.909, 233.909), width_nm=46.18, length_nm=149.89, height_nm=1104.04, n_pillar=3.797,
+        n_substrate=(1.76, 1.76), n_ambient=1.0, wavelength_nm=1570.04, side="ambient"
     ),
-    "low index": PillarCell((367.0, 367.0), 190.0, 170.0, 980.0, 1.98, (1.45, 1.45), 1.0, 527.0),
+    "low index": PillarCell(
+        period_nm=(367.0, 367.0), width_nm=190.0, length_nm=170.0, height_nm=980.0, n_pillar=1.98,
+        n_substrate=(1.45, 1.45), n_ambient=1.0, wavelength_nm=527.0
+    ),
     "absorbing": PillarCell(
-        (230.8335, 230.8335), 49.1195, 122.3776, 1176.28, 3.2923 + 0.0033j, (1.45, 1.45), 1.0, 789.257, side="ambient"
+        period_nm=(230.8335, 230.8335), width_nm=49.1195, length_nm=122.3776, height_nm=1176.28,
+        n_pillar=3.2923 + 0.0033j, n_substrate=(1.45, 1.45), n_ambient=1.0, wavelength_nm=789.257, side="ambient"
     ),
     "hexagonal": PillarCell(
-        (283.7444, 245.7299), 242.2916, 163.5195, 913.688, 3.34965, (1.0, 1.0), 1.0, 1320.177, side="ambient",
+        period_nm=(283.7444, 245.7299), width_nm=242.2916, length_nm=163.5195, height_nm=913.688, n_pillar=3.34965,
+        n_substrate=(1.0, 1.0), n_ambient=1.0, wavelength_nm=1320.177, side="ambient",
         is_staggered=True,
     ),
 }  # fmt: skip
@@ -152,7 +187,7 @@ TALL_CELLS = {
 def test_bound_has_a_margin_in_tall_cells(name: str, side: Side) -> None:
     cell = replace(TALL_CELLS[name], side=side)
     assert not is_measured(cell)
-    response = solve(cell, CellNumerics(1e-2))
+    response = solve(cell, CellNumerics(target_error=1e-2))
     assert response.converged
     reference = zero_order(cell, 14 if cell.is_staggered else 12)
     true_error = max(np.abs(response.t - reference.t).max(), np.abs(response.r - reference.r).max())
@@ -162,19 +197,57 @@ def test_bound_has_a_margin_in_tall_cells(name: str, side: Side) -> None:
 #: Cells of the measured kind that the claims from 173 pillars bounded by 0.8 to 1.3 times the error.
 WEAK_CELLS = {
     "1.3 wavelengths": (
-        PillarCell((283.477, 283.477), 126.707, 78.472, 767.876, 2.77945, (2.1606, 2.3241), 1.0, 601.997),
+        PillarCell(
+            period_nm=(283.477, 283.477),
+            width_nm=126.707,
+            length_nm=78.472,
+            height_nm=767.876,
+            n_pillar=2.77945,
+            n_substrate=(2.1606, 2.3241),
+            n_ambient=1.0,
+            wavelength_nm=601.997,
+        ),
         (1e-2, 1e-3, 1e-4),
     ),
     "1.2 wavelengths": (
-        PillarCell((322.906, 322.906), 100.334, 149.826, 706.37, 2.8576, (2.3779, 2.3779), 1.0, 600.0),
+        PillarCell(
+            period_nm=(322.906, 322.906),
+            width_nm=100.334,
+            length_nm=149.826,
+            height_nm=706.37,
+            n_pillar=2.8576,
+            n_substrate=(2.3779, 2.3779),
+            n_ambient=1.0,
+            wavelength_nm=600.0,
+        ),
         (1e-2, 1e-3),
     ),
     "1.1 wavelengths": (
-        PillarCell((321.757, 321.757), 209.051, 121.496, 669.69, 2.8615, (1.76, 1.76), 1.0, 600.0, side="ambient"),
+        PillarCell(
+            period_nm=(321.757, 321.757),
+            width_nm=209.051,
+            length_nm=121.496,
+            height_nm=669.69,
+            n_pillar=2.8615,
+            n_substrate=(1.76, 1.76),
+            n_ambient=1.0,
+            wavelength_nm=600.0,
+            side="ambient",
+        ),
         (1e-4,),
     ),
     "0.4 wavelengths": (
-        PillarCell((389.066, 389.066), 257.25, 172.623, 215.47, 2.3362, (1.45, 1.45), 1.0, 600.0, side="ambient"),
+        PillarCell(
+            period_nm=(389.066, 389.066),
+            width_nm=257.25,
+            length_nm=172.623,
+            height_nm=215.47,
+            n_pillar=2.3362,
+            n_substrate=(1.45, 1.45),
+            n_ambient=1.0,
+            wavelength_nm=600.0,
+            side="ambient",
+        ),
         (1e-4,),
     ),
 }
@@ -186,55 +259,72 @@ def test_bound_has_a_margin_in_cells_of_the_measured_kind(name: str) -> None:
     assert is_measured(cell)
     reference, known = zero_order(cell, 14), dict[tuple[int, int], ZeroOrder]()
     for target_error in targets:
-        response = solve(cell, CellNumerics(target_error), known)
+        response = solve(cell, CellNumerics(target_error=target_error), known)
         assert 1.4 * distance(response, reference) <= response.error <= target_error
 
 
 @pytest.mark.parametrize("wavelength_nm", [598.245, 600.245, 601.245])
 def test_bound_has_a_margin_where_errors_do_not_fall_yet(wavelength_nm: float) -> None:
     """In a period of 2.0 wavelengths 3, 4 and 5 cosines agree better than any of them is right."""
-    cell = PillarCell((435.168, 435.168), 239.948, 239.948, 1243.582, 2.794, (1.0, 1.0), 1.0, wavelength_nm)
-    response = solve(cell, CellNumerics(1e-2))
+    cell = PillarCell(
+        period_nm=(435.168, 435.168),
+        width_nm=239.948,
+        length_nm=239.948,
+        height_nm=1243.582,
+        n_pillar=2.794,
+        n_substrate=(1.0, 1.0),
+        n_ambient=1.0,
+        wavelength_nm=wavelength_nm,
+    )
+    response = solve(cell, CellNumerics(target_error=1e-2))
     assert 1.4 * distance(response, zero_order(cell, 9)) <= response.error <= 1e-2
 
 
 #: Random cells that stated 1.2 to 1.9 times their errors: target, largest truncation, and that of the reference.
 FRESH_CELLS = {
     "index of 4.7": (
-        PillarCell((306.373, 306.373), 202.4297, 149.6526, 178.7377, 4.658657, (1.7601, 1.7601), 1.0, 1595.949),
+        PillarCell(
+            period_nm=(306.373, 306.373), width_nm=202.4297, length_nm=149.6526, height_nm=178.7377, n_pillar=4.658657,
+            n_substrate=(1.7601, 1.7601), n_ambient=1.0, wavelength_nm=1595.949
+        ),
         (1e-3, 6, 9),
     ),
     "absorbing": (
         PillarCell(
-            (557.50979, 557.50979), 169.99744, 509.04477, 1107.37346, 4.861961 + 0.540906j, (1.00909, 1.00909), 1.0,
-            945.77428, side="ambient",
+            period_nm=(557.50979, 557.50979), width_nm=169.99744, length_nm=509.04477, height_nm=1107.37346,
+            n_pillar=4.861961 + 0.540906j, n_substrate=(1.00909, 1.00909), n_ambient=1.0,
+            wavelength_nm=945.77428, side="ambient",
         ),
         (1e-2, 8, 10),
     ),
     "flat cross": (
         PillarCell(
-            (365.1077, 365.1077), 300.9074, 219.279, 1287.6212, 1.480049, (1.0, 1.0), 1.0, 1084.589, side="ambient",
+            period_nm=(365.1077, 365.1077), width_nm=300.9074, length_nm=219.279, height_nm=1287.6212,
+            n_pillar=1.480049, n_substrate=(1.0, 1.0), n_ambient=1.0, wavelength_nm=1084.589, side="ambient",
             shape="cross",
         ),
         (1e-2, 6, 9),
     ),
     "hexagonal lattice": (
         PillarCell(
-            (423.970836, 367.169515), 313.860684, 341.955557, 821.556846, 3.40192, (1.599059, 1.599059), 1.0,
-            1249.27434, side="ambient", is_staggered=True,
+            period_nm=(423.970836, 367.169515), width_nm=313.860684, length_nm=341.955557, height_nm=821.556846,
+            n_pillar=3.40192, n_substrate=(1.599059, 1.599059), n_ambient=1.0,
+            wavelength_nm=1249.27434, side="ambient", is_staggered=True,
         ),
         (1e-2, 6, 9),
     ),
     "light at an angle": (
         PillarCell(
-            (300.79536, 376.895625), 238.1679, 168.142238, 1133.676278, 4.658177, (1.7601, 1.7601), 1.0, 634.527087,
+            period_nm=(300.79536, 376.895625), width_nm=238.1679, length_nm=168.142238, height_nm=1133.676278,
+            n_pillar=4.658177, n_substrate=(1.7601, 1.7601), n_ambient=1.0, wavelength_nm=634.527087,
             side="substrate", angle_deg=41.326059,
         ),
         (1e-2, 6, 9),
     ),
     "cross under light at an angle": (
         PillarCell(
-            (247.6083, 293.09226), 138.006, 235.22788, 881.0326, 1.430143, (1.45, 1.45), 1.0, 1125.2438,
+            period_nm=(247.6083, 293.09226), width_nm=138.006, length_nm=235.22788, height_nm=881.0326,
+            n_pillar=1.430143, n_substrate=(1.45, 1.45), n_ambient=1.0, wavelength_nm=1125.2438,
             side="substrate", angle_deg=40.64144, azimuth_deg=90.0, shape="cross",
         ),
         (1e-2, 6, 9),
@@ -245,7 +335,7 @@ FRESH_CELLS = {
 @pytest.mark.parametrize("name", FRESH_CELLS)
 def test_bound_has_a_margin_in_cells_that_no_rule_had_seen(name: str) -> None:
     cell, (target_error, most, reference) = FRESH_CELLS[name]
-    response = solve(cell, CellNumerics(target_error, max_orders=most))
+    response = solve(cell, CellNumerics(target_error=target_error, max_orders=most))
     assert 1.6 * distance(response, zero_order(cell, reference)) <= response.error
 
 
@@ -253,7 +343,7 @@ def test_bound_has_a_margin_in_cells_that_no_rule_had_seen(name: str) -> None:
 def test_bound_holds_in_oblong_and_in_wide_cells(name: str) -> None:
     cell, target_error = HARD_CELLS[name]
     assert not is_measured(cell)
-    response = solve(cell, CellNumerics(target_error))
+    response = solve(cell, CellNumerics(target_error=target_error))
     assert response.converged
     reference = zero_order(cell, 13)
     true_error = max(np.abs(response.t - reference.t).max(), np.abs(response.r - reference.r).max())
@@ -273,21 +363,21 @@ def test_plain_harmonics_approach_the_same_answer() -> None:
     # Li's factorisation without stretching is an independent discretisation; its own bound must cover the truth.
     for size_nm in ((100.0, 250.0), (120.0, 130.0)):
         cell = replace(SILICON, width_nm=size_nm[0], length_nm=size_nm[1])
-        adaptive = solve(cell, CellNumerics(1e-3))
-        fourier = solve(cell, CellNumerics(1e-3, formulation="fourier", max_orders=12))
+        adaptive = solve(cell, CellNumerics(target_error=1e-3))
+        fourier = solve(cell, CellNumerics(target_error=1e-3, formulation="fourier", max_orders=12))
         assert not fourier.converged
         assert np.abs(adaptive.t - fourier.t).max() <= adaptive.error + fourier.error
         assert np.abs(adaptive.r - fourier.r).max() <= adaptive.error + fourier.error
 
 
 def test_unreachable_target_is_confessed() -> None:
-    response = solve(SILICON, CellNumerics(1e-6, max_orders=6))
+    response = solve(SILICON, CellNumerics(target_error=1e-6, max_orders=6))
     assert not response.converged
     assert response.error > 1e-6
 
 
 def test_no_bound_from_a_single_truncation() -> None:
-    response = solve(SILICON, CellNumerics(1e-2, max_orders=3))
+    response = solve(SILICON, CellNumerics(target_error=1e-2, max_orders=3))
     assert not response.converged
     assert response.error == np.inf
 
@@ -298,7 +388,7 @@ def test_truncations_that_do_not_resolve_the_waves_in_the_pillar_state_no_error_
         SILICON, period_nm=(523.0, 523.0), width_nm=76.0, length_nm=223.0, height_nm=168.0, n_pillar=4.997,
         n_substrate=(2.305, 2.305), wavelength_nm=502.0, side="ambient", angle_deg=24.0, azimuth_deg=323.0,
     )  # fmt: skip
-    few, more = (solve(cell, CellNumerics(1e-3, max_orders=count)) for count in (6, 8))
+    few, more = (solve(cell, CellNumerics(target_error=1e-3, max_orders=count)) for count in (6, 8))
     assert few.error == 1.0 and not few.converged
     reference = zero_order(cell, 10)
     # 10 cosines are off by 0.01 themselves.
@@ -311,9 +401,18 @@ def test_truncations_that_do_not_resolve_the_waves_guided_in_a_film_state_no_err
     """3.5 wavelengths in a film of index 4.25: 5 and 6 cosines differ by 0.001, and both are off by 0.02."""
     film = Slice(69.3, 4.25 + 0j, 4.25 + 0j)
     cell = PillarCell(
-        (499.2, 499.2), 192.3, 176.3, 454.2, 1.952, (1.46, 1.46), 1.0, 606.0, side="substrate", under=(film,)
+        period_nm=(499.2, 499.2),
+        width_nm=192.3,
+        length_nm=176.3,
+        height_nm=454.2,
+        n_pillar=1.952,
+        n_substrate=(1.46, 1.46),
+        n_ambient=1.0,
+        wavelength_nm=606.0,
+        side="substrate",
+        under=(film,),
     )
-    few, more = (solve(cell, CellNumerics(1e-2, max_orders=count)) for count in (6, 10))
+    few, more = (solve(cell, CellNumerics(target_error=1e-2, max_orders=count)) for count in (6, 10))
     reference = zero_order(cell, 12)
     assert few.error == 1.0 and not few.converged
     assert np.abs(few.t - reference.t).max() > 0.02

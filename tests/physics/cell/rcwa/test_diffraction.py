@@ -14,9 +14,27 @@ from metafab.cell import CellNumerics, PillarCell, solve
 from metafab.cell.rcwa import diffraction, efficiencies, propagating_orders, zero_order
 from metafab.cell.rcwa.basis.coordinates import Formulation
 
-WIDE = PillarCell((900.0, 700.0), 300.0, 210.0, 600.0, 2.4, (1.46, 1.46), 1.0, 800.0)
+WIDE = PillarCell(
+    period_nm=(900.0, 700.0),
+    width_nm=300.0,
+    length_nm=210.0,
+    height_nm=600.0,
+    n_pillar=2.4,
+    n_substrate=(1.46, 1.46),
+    n_ambient=1.0,
+    wavelength_nm=800.0,
+)
 #: A grating along x: ridges that fill the cell along y, whose period is short.
-GRATING = PillarCell((1300.0, 20.0), 500.0, 20.0, 200.0, 2.4, (1.46, 1.46), 1.0, 800.0)
+GRATING = PillarCell(
+    period_nm=(1300.0, 20.0),
+    width_nm=500.0,
+    length_nm=20.0,
+    height_nm=200.0,
+    n_pillar=2.4,
+    n_substrate=(1.46, 1.46),
+    n_ambient=1.0,
+    wavelength_nm=800.0,
+)
 FORMULATIONS: tuple[Formulation, ...] = ("adaptive", "fourier")
 
 
@@ -48,7 +66,7 @@ def test_orders_add_up_to_all_power(
 
 def test_the_zero_order_is_that_of_the_jones_matrices() -> None:
     cell = replace(WIDE, angle_deg=20.0, azimuth_deg=33.0)
-    numerics = CellNumerics(1e-9, max_orders=4)
+    numerics = CellNumerics(target_error=1e-9, max_orders=4)
     found, response = diffraction(cell, numerics), solve(cell, numerics)
     zero = next(each for each in found.transmitted if each.order == (0, 0))
     assert (zero.efficiency_x, zero.efficiency_y) == pytest.approx(response.transmittance, abs=1e-10)
@@ -60,7 +78,7 @@ def test_the_zero_order_is_that_of_the_jones_matrices() -> None:
 
 def test_a_subwavelength_cell_has_zero_orders_alone() -> None:
     cell = replace(WIDE, period_nm=(350.0, 350.0))
-    found, response = diffraction(cell, CellNumerics(3e-2)), solve(cell, CellNumerics(1e-2))
+    found, response = diffraction(cell, CellNumerics(target_error=3e-2)), solve(cell, CellNumerics(target_error=1e-2))
     assert [each.order for each in found.transmitted] == [(0, 0)]
     assert [each.order for each in found.reflected] == [(0, 0)]
     assert found.converged
@@ -70,7 +88,7 @@ def test_a_subwavelength_cell_has_zero_orders_alone() -> None:
 def test_orders_stand_where_the_grating_equation_has_them() -> None:
     # n sin(theta_m) = n_in sin(theta) + m lambda / period.
     cell = replace(GRATING, angle_deg=10.0)
-    found = diffraction(cell, CellNumerics(1e-1, max_orders=6))
+    found = diffraction(cell, CellNumerics(target_error=1e-1, max_orders=6))
     for side, index in ((found.transmitted, 1.0), (found.reflected, 1.46)):
         numbers = [m for m in range(-5, 6) if abs(1.46 * math.sin(math.radians(10.0)) + m * 800.0 / 1300.0) < index]
         assert [each.order for each in side] == [(m, 0) for m in numbers]
@@ -88,7 +106,16 @@ def test_a_weak_grating_scatters_as_born_has_it(formulation: Formulation, fill: 
     # incidence for light along the ridges (y), and its projection k_m on the order's own p direction for x.
     contrast = 1e-5
     period, height = 1300.0, 300.0
-    cell = PillarCell((period, 20.0), fill * period, 20.0, height, math.sqrt(1.0 + contrast), (1.0, 1.0), 1.0, 800.0)
+    cell = PillarCell(
+        period_nm=(period, 20.0),
+        width_nm=fill * period,
+        length_nm=20.0,
+        height_nm=height,
+        n_pillar=math.sqrt(1.0 + contrast),
+        n_substrate=(1.0, 1.0),
+        n_ambient=1.0,
+        wavelength_nm=800.0,
+    )
     transmitted, reflected = efficiencies(cell, 12, formulation)
     k0 = 2.0 * math.pi / 800.0
     for m in (-1, 1):
@@ -130,6 +157,6 @@ def test_reflected_orders_are_reciprocal() -> None:
 def test_orders_beyond_the_truncation_are_not_passed_over() -> None:
     wide = replace(WIDE, period_nm=(4000.0, 700.0))
     assert max(m for m, _ in propagating_orders(wide, wide.n_in)) == 7
-    found = diffraction(wide, CellNumerics(1.0 - 1e-9, max_orders=5))
+    found = diffraction(wide, CellNumerics(target_error=1.0 - 1e-9, max_orders=5))
     assert not found.converged
     assert found.error == math.inf

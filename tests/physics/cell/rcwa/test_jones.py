@@ -63,7 +63,7 @@ def test_a_short_period_gets_as_many_cosines_as_a_long_one() -> None:
     for orders in (3, 5):
         # (M + 1)^2 + M^2 unknowns, as in a square cell.
         assert zero_order(oblong, orders).coefficients == (orders + 1) ** 2 + orders**2
-    response = solve(oblong, CellNumerics(1e-2))
+    response = solve(oblong, CellNumerics(target_error=1e-2))
     assert response.details.orders_x == response.details.orders_y
     assert response.resolution == (2 * int(response.details.orders_x) + 1) ** 2
 
@@ -111,7 +111,7 @@ def test_oblique_light_conserves_power(formulation: Formulation, angle: tuple[fl
 @pytest.mark.parametrize("side", ["substrate", "ambient"])
 def test_transmittance_is_all_transmitted_power_without_diffraction(side: Side, angle: tuple[float, float]) -> None:
     cell = replace(SILICON, angle_deg=angle[0], azimuth_deg=angle[1], side=side)
-    response = solve(cell, CellNumerics(1e-2, max_orders=3))
+    response = solve(cell, CellNumerics(target_error=1e-2, max_orders=3))
     every_order = [response.details.transmitted_power_x, response.details.transmitted_power_y]
     np.testing.assert_allclose(response.transmittance, every_order, rtol=0.0, atol=ROUNDING)
 

@@ -20,7 +20,16 @@ from metafab.core.conventions import Side
 from metafab.core.errors import InputError
 
 #: Titanium dioxide: a contrast at which plain harmonics converge well enough to be a reference.
-TITANIA = PillarCell((350.0, 350.0), 150.0, 210.0, 600.0, 2.4, (1.46, 1.46), 1.0, 800.0)
+TITANIA = PillarCell(
+    period_nm=(350.0, 350.0),
+    width_nm=150.0,
+    length_nm=210.0,
+    height_nm=600.0,
+    n_pillar=2.4,
+    n_substrate=(1.46, 1.46),
+    n_ambient=1.0,
+    wavelength_nm=800.0,
+)
 SILICON = replace(TITANIA, n_pillar=3.6941 + 0.0065j, n_substrate=(1.7601, 1.7601))
 FORMULATIONS: tuple[Formulation, ...] = ("adaptive", "fourier")
 ROUNDING = 1e-10
@@ -131,11 +140,11 @@ def test_the_pillar_stands_on_the_substrate_whatever_the_side_of_the_light(side:
 )
 def test_steps_are_as_fine_as_they_claim(size_nm: tuple[float, float], angle_deg: float) -> None:
     cell = replace(TITANIA, width_nm=size_nm[0], length_nm=size_nm[1], sidewall_angle_deg=angle_deg)
-    cut = slicing(cell, CellNumerics(8e-3))
+    cut = slicing(cell, CellNumerics(target_error=8e-3))
     limit = smooth(cell, 4, "adaptive", 64)
     assert cut.error <= 4e-3
     assert distance(smooth(cell, 4, "adaptive", cut.steps), limit) <= cut.error
-    few = slicing(cell, CellNumerics(8e-3, steps=2))
+    few = slicing(cell, CellNumerics(target_error=8e-3, steps=2))
     assert few.steps == 2
     assert distance(smooth(cell, 4, "adaptive", 2), limit) <= few.error
 
@@ -156,7 +165,7 @@ def test_extrapolation_takes_the_second_order_away_and_keeps_the_power() -> None
 def test_steps_counted_at_a_low_truncation_serve_a_higher_one(size_nm: tuple[float, float]) -> None:
     # Resonant silicon, where the evanescent field that more cosines resolve makes each step count for more.
     cell = replace(SILICON, width_nm=size_nm[0], length_nm=size_nm[1], sidewall_angle_deg=88.0)
-    cut = slicing(cell, CellNumerics(4e-2))
+    cut = slicing(cell, CellNumerics(target_error=4e-2))
     assert 0.0 < cut.error <= 2e-2
     assert distance(smooth(cell, 7, "adaptive", cut.steps), smooth(cell, 7, "adaptive", 64)) <= cut.error
 
@@ -198,13 +207,13 @@ def test_light_through_leaning_walls_is_reciprocal(angle_deg: float) -> None:
 
 def test_bound_of_a_sloped_pillar_holds_its_steps_and_its_truncation() -> None:
     cell = replace(TITANIA, sidewall_angle_deg=89.5)
-    response = solve(cell, CellNumerics(2e-2))
+    response = solve(cell, CellNumerics(target_error=2e-2))
     assert response.converged
     assert response.error > response.details.slicing_error > 0.0
     finer = smooth(cell, 8, "adaptive", 2 * int(response.details.steps))
     assert np.abs(response.t - finer.t).max() <= response.error
     assert np.abs(response.r - finer.r).max() <= response.error
-    assert not hasattr(solve(TITANIA, CellNumerics(1e-2)).details, "steps")
+    assert not hasattr(solve(TITANIA, CellNumerics(target_error=1e-2)).details, "steps")
 
 
 def test_impossible_slopes_are_refused() -> None:

@@ -116,7 +116,7 @@ def window_ratio(psf: Psf, photons: float, seeds: range) -> FloatArray:
     decoder = Decoder.of(psf, frames[0].frame.shape, frames[0].origin_um, frames[0].x_window)
     assert decoder is not None
     side = round(0.3 * psf.sensor_distance_um / psf.pixel_um)
-    texture = Texture(photons, piece.texture_contrast, read_noise_e=scene.read_noise_e)
+    texture = Texture(electrons=photons, contrast=piece.texture_contrast, read_noise_e=scene.read_noise_e)
     bound = DepthBound.of(decoder.calibration, DEPTH_M, texture, (side, side))
     error, least = window_errors(decoder, frames, bound, 24)
     return np.asarray(error / least)

@@ -68,7 +68,7 @@ def window_bias(psf: Psf, *, compensate: bool) -> FloatArray:
         DecoderNumerics(compensate_space_variance=compensate),
     )
     assert decoder is not None
-    bound = DepthBound.of(decoder.calibration, DEPTH_M, Texture(3e5, 0.25))
+    bound = DepthBound.of(decoder.calibration, DEPTH_M, Texture(electrons=3e5, contrast=0.25))
     return window_errors(decoder, frames, bound, 24)[0]
 
 

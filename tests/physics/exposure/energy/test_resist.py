@@ -91,7 +91,11 @@ def test_a_half_plane_is_an_error_function(distance_nm: float) -> None:
 def test_other_lattices_and_outlines_agree_with_sums_over_polygons(hexagonal: bool, shape: Shape) -> None:
     """At random pillars and at the rim of a disc: polygons of the mask, each by Owen's function."""
     rng = np.random.default_rng(7)
-    lattice = Lattice((380, 658), (27, 45), 0.5, True) if hexagonal else Lattice((700, 700), (25, 25), 0.5)
+    lattice = (
+        Lattice(period_dbu=(380, 658), shape=(27, 45), database_unit_nm=0.5, hexagonal=True)
+        if hexagonal
+        else Lattice(period_dbu=(700, 700), shape=(25, 25), database_unit_nm=0.5)
+    )
     rows, columns = (np.arange(n) for n in lattice.shape)
     inside = np.hypot(lattice.x_um(), lattice.y_um()[:, None]) < 4.3
     index = np.where(inside & lattice.carries(rows, columns), rng.integers(1, 9, lattice.shape), 0).astype(np.uint16)

@@ -19,7 +19,10 @@ OUTLINES = [Outline("ellipse", 0.5), Outline("rounded", 0.5, 60.0), Outline("rec
 
 def shapes_of(outline: Outline) -> Shapes:
     index = np.zeros((3, 3), dtype=np.uint16)
-    return Shapes.of(PillarMap.from_array(Lattice((700, 700), (3, 3), 0.5), SIZES_DBU, index, 512), outline)
+    return Shapes.of(
+        PillarMap.from_array(Lattice(period_dbu=(700, 700), shape=(3, 3), database_unit_nm=0.5), SIZES_DBU, index, 512),
+        outline,
+    )
 
 
 def summed(shapes: Shapes, range_nm: float, x_nm: FloatArray, y_nm: FloatArray, *, on_axis: bool = False) -> FloatArray:

@@ -48,7 +48,7 @@ def test_a_corner_holds_against_the_solver(
     width_nm, length_nm = np.random.default_rng(3).uniform(100.0, 120.0, (2, 6))
     held = there.surface(width_nm, length_nm)
     answers = [
-        solve(there.pillar(float(w), float(h)), CellNumerics(0.4 * target_error))
+        solve(there.pillar(float(w), float(h)), CellNumerics(target_error=0.4 * target_error))
         for w, h in zip(width_nm, length_nm, strict=True)
     ]
     t = np.array([np.diagonal(answer.t) for answer in answers])

@@ -65,7 +65,15 @@ def test_a_mask_far_beyond_the_library_is_refused(library: Library) -> None:
 def test_sloped_circles_state_the_error_that_they_have() -> None:
     """Five cosines and eight slices are off by a tenth at a resonant circle; upright circles and rectangles are not."""
     circle = PillarCell(
-        (330.0, 330.0), 200.0, 200.0, 800.0, 2.461 + 0j, (1.461 + 0j,) * 2, 1.0 + 0j, 532.0, shape="ellipse"
+        period_nm=(330.0, 330.0),
+        width_nm=200.0,
+        length_nm=200.0,
+        height_nm=800.0,
+        n_pillar=2.461 + 0j,
+        n_substrate=(1.461 + 0j,) * 2,
+        n_ambient=1.0 + 0j,
+        wavelength_nm=532.0,
+        shape="ellipse",
     )
     sloped = [(replace(circle, sidewall_angle_deg=87.0), 8)]
     amplitudes = any_size.solved_amplitudes(sloped)
@@ -83,7 +91,16 @@ def test_sloped_circles_state_the_error_that_they_have() -> None:
 def test_rings_beside_a_resonance_state_the_error_that_they_have() -> None:
     """Order 5 of the second ring is off by 0.1 (order 6), of its neighbours by less than 1e-3."""
     ring = PillarCell(
-        (760.0, 760.0), 560.0, 560.0, 730.0, 3.5 + 0j, (1.45 + 0j,) * 2, 1.0 + 0j, 1310.0, shape="ring", hole_nm=40.0
+        period_nm=(760.0, 760.0),
+        width_nm=560.0,
+        length_nm=560.0,
+        height_nm=730.0,
+        n_pillar=3.5 + 0j,
+        n_substrate=(1.45 + 0j,) * 2,
+        n_ambient=1.0 + 0j,
+        wavelength_nm=1310.0,
+        shape="ring",
+        hole_nm=40.0,
     )
     tasks = [(replace(ring, width_nm=size, length_nm=size), 8) for size in (560.0, 620.0)]
     amplitudes = any_size.solved_amplitudes(tasks)

@@ -32,7 +32,7 @@ def test_the_change_is_that_of_finer_solutions_weighted_by_the_pillars(smooth_li
     angle_deg = float(np.degrees(np.arcsin(np.sin(np.arctan(0.06)) / n_in)))
     # Eight places: the shares 40, 40 and 20 % are met by 3, 3 and 2 of them.
     before, after = (
-        np.repeat([np.diagonal(solve(cell, CellNumerics(2e-3)).t) for cell in each], [3, 3, 2], axis=0)
+        np.repeat([np.diagonal(solve(cell, CellNumerics(target_error=2e-3)).t) for cell in each], [3, 3, 2], axis=0)
         for each in (cells, [replace(cell, angle_deg=angle_deg) for cell in cells])
     )
     turned = after * np.exp(-1j * np.angle(np.sum(after * before.conj(), axis=0)))

@@ -18,7 +18,7 @@ from tests import optics_lens as lens
 
 R_PLANE = Substrate(thickness_um=460.0, cut="r-plane", azimuth_deg=30.0)
 CRYSTAL = Crystal(R_PLANE, 0.8)
-NUMERICS = PsfNumerics(48, 1e-3)
+NUMERICS = PsfNumerics(window_px=48, target_error=1e-3)
 
 
 def _plane_wave_jones(crystal: Crystal, kappa_x: float, kappa_y: float) -> np.ndarray:

@@ -23,7 +23,7 @@ def _lens(sine: float, aperture_um: float) -> tuple[IdealField, Imaging]:
     """An ideal flat lens for parallel light, its pixel an eighth of wavelength / NA."""
     focal_um = 0.5 * aperture_um / math.tan(math.asin(sine))
     count = 2 * math.ceil(0.5e3 * aperture_um / PERIOD_NM)
-    lattice = Lattice((PERIOD_NM, PERIOD_NM), (count, count), 1.0)
+    lattice = Lattice(period_dbu=(PERIOD_NM, PERIOD_NM), shape=(count, count), database_unit_nm=1.0)
     device = Device(aperture_um=aperture_um, focal_length_mm=1e-3 * focal_um)
     profile = PhaseProfile(
         (LensPhase(wavelength_um=WAVELENGTH_UM, image_distance_um=focal_um, object_distance_um=math.inf),)

@@ -32,7 +32,7 @@ def _found(
     """Aberrations of a lens with the polynomials (number, coefficient in waves)."""
     count = 2 * math.ceil(0.5e3 * aperture_um / 200)
     lattice, device = (
-        Lattice((200, 200), (count, count), 1.0),
+        Lattice(period_dbu=(200, 200), shape=(count, count), database_unit_nm=1.0),
         Device(aperture_um=aperture_um, focal_length_mm=1e-3 * FOCAL_UM),
     )
     added = []
@@ -126,7 +126,10 @@ def test_defocus_of_an_object_nearer_than_the_focus_is_the_sphere_that_it_sends(
 
 
 def aberrations_of_near_object(depth_m: float) -> AberrationFigures:
-    lattice, device = Lattice((200, 200), (300, 300), 1.0), Device(aperture_um=60.0, focal_length_mm=1e-3 * FOCAL_UM)
+    lattice, device = (
+        Lattice(period_dbu=(200, 200), shape=(300, 300), database_unit_nm=1.0),
+        Device(aperture_um=60.0, focal_length_mm=1e-3 * FOCAL_UM),
+    )
     profile = PhaseProfile(
         (LensPhase(wavelength_um=WAVELENGTH_UM, image_distance_um=FOCAL_UM, object_distance_um=math.inf),)
     )

@@ -26,7 +26,7 @@ def _figures(sine: float, *, aperture_um: float = 60.0, aberration_rad: float = 
     focal_um = 0.5 * aperture_um / math.tan(math.asin(sine))
     count = 2 * math.ceil(0.5e3 * aperture_um / 200)
     lattice, device = (
-        Lattice((200, 200), (count, count), 1.0),
+        Lattice(period_dbu=(200, 200), shape=(count, count), database_unit_nm=1.0),
         Device(aperture_um=aperture_um, focal_length_mm=1e-3 * focal_um),
     )
     terms = (

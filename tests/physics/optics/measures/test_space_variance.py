@@ -27,7 +27,11 @@ COUNT = 1142
 
 @pytest.fixture(scope="module")
 def source() -> IdealField:
-    return ideal_field(phase.profile_of(DESIGN), Lattice((3500, 3500), (COUNT, COUNT), 0.5), DESIGN.device)
+    return ideal_field(
+        phase.profile_of(DESIGN),
+        Lattice(period_dbu=(3500, 3500), shape=(COUNT, COUNT), database_unit_nm=0.5),
+        DESIGN.device,
+    )
 
 
 @pytest.fixture(scope="module")

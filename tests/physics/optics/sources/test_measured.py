@@ -20,7 +20,7 @@ def drawn() -> PillarMap:
     index = np.ones((10, 12), dtype=np.uint16)
     index[:, 6:] = 2
     index[3, 4] = 0
-    lattice = Lattice((700, 700), (10, 12), 0.5)
+    lattice = Lattice(period_dbu=(700, 700), shape=(10, 12), database_unit_nm=0.5)
     return PillarMap.from_array(lattice, np.array([[0, 0], [240, 320], [360, 280]], dtype=np.int32), index, 64)
 
 

@@ -23,7 +23,9 @@ def hexagonal() -> IdealField:
         aperture_um=OPTICS.aperture_um, focal_length_mm=OPTICS.focal_length_mm, aperture_shape=OPTICS.aperture_shape
     )
     profile = PhaseProfile((lens.eq_3_and_4(OPTICS),))  # type: ignore[arg-type]
-    return ideal_field(profile, Lattice((350, 606), (133, 229), 0.5, hexagonal=True), device)
+    return ideal_field(
+        profile, Lattice(period_dbu=(350, 606), shape=(133, 229), database_unit_nm=0.5, hexagonal=True), device
+    )
 
 
 def test_the_stated_error_bounds_the_true_one(hexagonal: IdealField) -> None:

@@ -16,7 +16,16 @@ from metafab.cell.rcwa import zero_order
 from tests.main_job import ROOT
 
 CELL_FILE, PEERS_FILE = ROOT / "benchmarks" / "cell" / "cell.py", ROOT / "benchmarks" / "cell" / "cell_peers.py"
-FILM = PillarCell((350.0, 350.0), 350.0, 350.0, 600.0, 3.6941 + 0.0065j, (1.7601, 1.7601), 1.25, 800.0)
+FILM = PillarCell(
+    period_nm=(350.0, 350.0),
+    width_nm=350.0,
+    length_nm=350.0,
+    height_nm=600.0,
+    n_pillar=3.6941 + 0.0065j,
+    n_substrate=(1.7601, 1.7601),
+    n_ambient=1.25,
+    wavelength_nm=800.0,
+)
 
 
 @pytest.fixture(scope="module")

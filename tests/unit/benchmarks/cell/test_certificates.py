@@ -96,7 +96,7 @@ def test_a_kept_line_that_was_cut_short_is_solved_again(monkeypatch: pytest.Monk
 
 def test_targets_share_truncations_and_the_reference_is_finer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(certificates, "draw", lambda *_: ("rectangle", SILICON))
-    alone = [solve(SILICON, CellNumerics(target)) for target in TARGETS]
+    alone = [solve(SILICON, CellNumerics(target_error=target)) for target in TARGETS]
     cases = list(certificates.judge(0, 16))
     assert [case.stated for case in cases] == [answer.error for answer in alone]
     assert all(case.judged and not case.broken for case in cases)

@@ -31,7 +31,7 @@ from tests.main_job import SMALL
 def test_sums_over_sizes_are_the_mean_of_all_sites() -> None:
     """120 x 120 random pillars of two sizes with random targets, site by site and by size, and a bias by 2 nm."""
     rng = np.random.default_rng(3)
-    lattice = Lattice((700, 700), (120, 120), 0.5)
+    lattice = Lattice(period_dbu=(700, 700), shape=(120, 120), database_unit_nm=0.5)
     index = rng.integers(0, 3, lattice.shape).astype(np.uint16)
     sizes = np.array([[0, 0], [240, 320], [400, 200]], dtype=np.int32)  # 120 x 160 and 200 x 100 nm
     target_rad = rng.uniform(-math.pi, math.pi, (2, *lattice.shape))

@@ -31,5 +31,5 @@ def test_a_pass_of_the_floor_reads_every_byte(tmp_path: Path) -> None:
 
 
 def test_a_pillar_takes_longer_than_its_products_and_systems() -> None:
-    loose, tight = (solve(paper_cell(120.0, 180.0), CellNumerics(target)) for target in (1e-2, 1e-4))
+    loose, tight = (solve(paper_cell(120.0, 180.0), CellNumerics(target_error=target)) for target in (1e-2, 1e-4))
     assert 0.0 < algebra_s([loose]) < algebra_s([tight]) < tight.seconds

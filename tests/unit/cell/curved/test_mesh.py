@@ -13,7 +13,17 @@ from metafab.cell.curved import is_treated
 from metafab.cell.curved.mesh import quarter_mesh
 from metafab.core.errors import InputError
 
-ELLIPSE = PillarCell((340.0, 300.0), 110.0, 200.0, 800.0, 2.461, (1.461, 1.461), 1.0, 532.0, shape="ellipse")
+ELLIPSE = PillarCell(
+    period_nm=(340.0, 300.0),
+    width_nm=110.0,
+    length_nm=200.0,
+    height_nm=800.0,
+    n_pillar=2.461,
+    n_substrate=(1.461, 1.461),
+    n_ambient=1.0,
+    wavelength_nm=532.0,
+    shape="ellipse",
+)
 HEXAGONAL = replace(ELLIPSE, period_nm=(340.0, 294.0), width_nm=200.0, is_staggered=True)
 ROUNDED = replace(ELLIPSE, shape="rectangle", corner_radius_nm=25.0)
 STADIUM = replace(ROUNDED, corner_radius_nm=55.0)
@@ -74,16 +84,16 @@ def test_cells_that_have_elements(cell: PillarCell, treated: bool) -> None:
 
 
 def test_the_solver_says_which_way_it_went() -> None:
-    assert solve(ELLIPSE, CellNumerics(0.5)).numerics.solver == "elements"
-    assert solve(ELLIPSE, CellNumerics(0.5, formulation="fourier", max_orders=6)).numerics.solver == "rcwa"
+    assert solve(ELLIPSE, CellNumerics(target_error=0.5)).numerics.solver == "elements"
+    assert solve(ELLIPSE, CellNumerics(target_error=0.5, formulation="fourier", max_orders=6)).numerics.solver == "rcwa"
     with pytest.raises(InputError, match="`formulation`: expected adaptive"):
-        solve(ELLIPSE, CellNumerics(0.5, solver="elements", formulation="fourier"))
+        solve(ELLIPSE, CellNumerics(target_error=0.5, solver="elements", formulation="fourier"))
 
 
 @pytest.mark.parametrize(
     ("cell", "numerics", "named"),
     [
-        (replace(ELLIPSE, angle_deg=5.0), CellNumerics(0.5, solver="elements"), ["angle_deg"]),
+        (replace(ELLIPSE, angle_deg=5.0), CellNumerics(target_error=0.5, solver="elements"), ["angle_deg"]),
         (replace(ROUNDED, shape="cross", corner_radius_nm=0.0), CellNumerics(solver="elements"), ["shape"]),
         (replace(HEXAGONAL, width_nm=330.0, length_nm=290.0), CellNumerics(), ["width_nm, length_nm"]),
         (replace(HEXAGONAL, n_pillar=0.2 + 4.0j), CellNumerics(), ["n_pillar"]),

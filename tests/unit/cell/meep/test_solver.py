@@ -46,7 +46,7 @@ class _KnownAnswers(Pool):
 
 def test_a_cell_is_solved_in_both_polarisations_until_the_error_is_reached() -> None:
     pool = _KnownAnswers(SILICON, 1e-6)
-    found = solve(SILICON, CellNumerics(1e-3, "meep"), pool=pool)
+    found = solve(SILICON, CellNumerics(target_error=1e-3, solver="meep"), pool=pool)
     np.testing.assert_allclose(found.t, np.diag(list(pool.T.values())), atol=1e-10)
     np.testing.assert_allclose(found.r, np.diag(list(pool.R.values())), atol=1e-10)
     assert found.converged
@@ -58,14 +58,14 @@ def test_a_cell_is_solved_in_both_polarisations_until_the_error_is_reached() -> 
 def test_a_square_pillar_is_solved_in_one_polarisation() -> None:
     square = replace(SILICON, width_nm=150.0, length_nm=150.0)
     pool = _KnownAnswers(square, 0.0)
-    found = solve(square, CellNumerics(1e-3, "meep"), pool=pool)
+    found = solve(square, CellNumerics(target_error=1e-3, solver="meep"), pool=pool)
     assert found.t[0, 0] == found.t[1, 1]
     assert {job.polarisation for job in pool.jobs} == {"x"}
 
 
 def test_a_field_that_does_not_decay_has_no_limit() -> None:
     with pytest.raises(SolverError, match="longest_periods"):
-        solve(SILICON, CellNumerics(1e-3, "meep"), pool=_KnownAnswers(SILICON, math.inf))
+        solve(SILICON, CellNumerics(target_error=1e-3, solver="meep"), pool=_KnownAnswers(SILICON, math.inf))
 
 
 @pytest.mark.parametrize(

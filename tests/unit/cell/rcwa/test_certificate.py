@@ -18,20 +18,31 @@ def test_seven_cosines_are_tried_only_where_nothing_was_measured() -> None:
     """Pillars that six cosines did not serve go on to eight, unless seven are all that may be had."""
     measured, other = convergence(SILICON), convergence(replace(SILICON, angle_deg=10.0))
     assert measured.is_measured and not other.is_measured
-    assert ladder(CellNumerics(1e-3), measured)[:4] == (4, 6, 8, 9)
-    assert ladder(CellNumerics(1e-3), other)[:5] == (4, 5, 6, 7, 8)
-    assert ladder(CellNumerics(1e-2), other)[:4] == (3, 4, 5, 6) and ladder(CellNumerics(1e-2), measured)[:3] == (
+    assert ladder(CellNumerics(target_error=1e-3), measured)[:4] == (4, 6, 8, 9)
+    assert ladder(CellNumerics(target_error=1e-3), other)[:5] == (4, 5, 6, 7, 8)
+    assert ladder(CellNumerics(target_error=1e-2), other)[:4] == (3, 4, 5, 6) and ladder(
+        CellNumerics(target_error=1e-2), measured
+    )[:3] == (
         3,
         5,
         6,
     )
-    assert ladder(CellNumerics(1e-3, max_orders=7), measured) == (4, 6, 7)
+    assert ladder(CellNumerics(target_error=1e-3, max_orders=7), measured) == (4, 6, 7)
 
 
 def test_waves_in_a_dense_cap_must_be_resolved() -> None:
     """With 7 and 8 cosines this cell's amplitudes differ by 0.001, and both are off by 0.08; with 10, by 0.003."""
     cap = Slice(62.0333, 4.21017, 1.0)
-    plain = PillarCell((357.8265, 532.793), 264.114, 481.213, 1243.31, 3.25397, (1.7601, 1.7601), 1.0, 602.559)
+    plain = PillarCell(
+        period_nm=(357.8265, 532.793),
+        width_nm=264.114,
+        length_nm=481.213,
+        height_nm=1243.31,
+        n_pillar=3.25397,
+        n_substrate=(1.7601, 1.7601),
+        n_ambient=1.0,
+        wavelength_nm=602.559,
+    )
     capped = replace(plain, over=(cap,))
     assert [convergence(capped).least_error(orders) for orders in (8, 9, 10)] == [1.0, 1.0, 0.0]
     assert convergence(plain).least_error(8) == 0.0

@@ -35,6 +35,8 @@ def solving() -> Iterator[Solving]:
     """Makes a solver of points from a function number -> cell, without a checkpoint."""
 
     def solving(cell_of: Callable[[int], PillarCell], solver: CellSolver = ridges.solve) -> PointSolver:
-        return PointSolver(cell_of, CellNumerics(1e-3), solver, SerialExecutor(), Checkpoint(None, ""), silent)
+        return PointSolver(
+            cell_of, CellNumerics(target_error=1e-3), solver, SerialExecutor(), Checkpoint(None, ""), silent
+        )
 
     yield solving

@@ -124,7 +124,7 @@ def test_the_finer_grid_holds_the_sizes_and_numbers_of_its_own(cell: UnitCell, s
 
     record = Checkpoint(None, "")
     points = PointSolver(
-        lambda _: pytest.fail("not a size"), CellNumerics(1e-3), solve, SerialExecutor(), record, silent
+        lambda _: pytest.fail("not a size"), CellNumerics(target_error=1e-3), solve, SerialExecutor(), record, silent
     )
     assert sampling.models is not None
     spiked = replace(sampling.models, best=cast(RationalModel, Spiked(sampling.models.best, (122.5, 227.5))))

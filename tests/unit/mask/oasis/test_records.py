@@ -73,7 +73,11 @@ def _displacement(x: int, y: int) -> bytes:
 def test_records_are_those_of_the_standard(
     index: np.ndarray, row: int, periods: tuple[int, int], scan: Scan, absolute: bool
 ) -> None:
-    lattice, tile, stamp = Lattice(periods, (400, 400), 0.5), PillarTile(row, 17, index), Stamp(SIZES, CORNERS, 1, 300)
+    lattice, tile, stamp = (
+        Lattice(period_dbu=periods, shape=(400, 400), database_unit_nm=0.5),
+        PillarTile(row, 17, index),
+        Stamp(SIZES, CORNERS, 1, 300),
+    )
     compiled = pillar_records([(tile, stamp)], lattice, tile_cell(lattice, tile, stamp), scan, absolute=absolute)
     assert compiled == _records(tile, lattice, stamp, scan, absolute)
 
@@ -82,7 +86,11 @@ def test_records_are_those_of_the_standard(
 @pytest.mark.parametrize("shape", [(476, 300), (239, 714), (40, 238)])
 def test_records_of_tiles_wider_than_a_strip(shape: tuple[int, int], scan: Scan) -> None:
     index = np.random.default_rng(7).integers(0, 6, shape).astype(np.uint16)
-    lattice, tile, stamp = Lattice((700, 600), (800, 800), 0.5), PillarTile(3, 17, index), Stamp(SIZES, CORNERS, 1, 0)
+    lattice, tile, stamp = (
+        Lattice(period_dbu=(700, 600), shape=(800, 800), database_unit_nm=0.5),
+        PillarTile(3, 17, index),
+        Stamp(SIZES, CORNERS, 1, 0),
+    )
     compiled = pillar_records([(tile, stamp)], lattice, tile_cell(lattice, tile, stamp), scan)
     assert compiled == _records(tile, lattice, stamp, scan, absolute=False)
 
@@ -117,5 +125,8 @@ def _tile_of_a_lens(centre: tuple[int, int]) -> tuple[PillarTile, Lattice, Stamp
     row, column = (np.arange(-238, 238) + at for at in centre)
     lens = -7.7e-6 * (column[None, :] ** 2 + row[:, None] ** 2)
     width, length = (np.floor((lens + turn * column) % 1.0 * 40).astype(np.int64) for turn in (0.061, -0.061))
-    lattice, stamp = Lattice((700, 700), (5714, 5714), 0.5), Stamp(sizes, -(sizes // 2), 1, 0)
+    lattice, stamp = (
+        Lattice(period_dbu=(700, 700), shape=(5714, 5714), database_unit_nm=0.5),
+        Stamp(sizes, -(sizes // 2), 1, 0),
+    )
     return PillarTile(0, 0, (1 + 40 * width + length).astype(np.uint16)), lattice, stamp

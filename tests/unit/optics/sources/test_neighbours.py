@@ -38,7 +38,9 @@ def library(smooth_library: Library) -> Library:
 def _map(index: np.ndarray, tile_sites: int) -> PillarMap:
     sizes = 2 * np.random.default_rng(3).integers(100, 251, (41, 2)).astype(np.int32)
     sizes[0] = 0
-    return PillarMap.from_array(Lattice((700, 700), index.shape, 0.5), sizes - sizes % 4, index, tile_sites)
+    return PillarMap.from_array(
+        Lattice(period_dbu=(700, 700), shape=index.shape, database_unit_nm=0.5), sizes - sizes % 4, index, tile_sites
+    )
 
 
 def _whole(field: neighbours.NeighbourField) -> ComplexArray:

@@ -23,7 +23,7 @@ def test_shown_transmittance_is_the_solvers(name: str) -> None:
     library = build(replace(whole, sweep=sweep))
     row, column = 1, 2
     cell = pillar_cell(library.unit_cell, float(library.width_nm[column]), float(library.length_nm[row]))
-    solved = solve(cell, CellNumerics(1e-3))
+    solved = solve(cell, CellNumerics(target_error=1e-3))
     for polarisation, expected in zip(("x", "y"), solved.transmittance, strict=True):
         shown = transmittance(library, polarisation)[row, column]  # type: ignore[arg-type]
         # |t|^2 n_out / n_in is off by twice the error of t at most, times |t| and the ratio of indices (below 1.5).

@@ -19,7 +19,16 @@ from metafab.cell.rcwa.layers.nested import rectangles
 from metafab.core.errors import InputError
 from tests.plain_modes import transmitted
 
-TITANIA = PillarCell((400.0, 400.0), 250.0, 180.0, 600.0, 2.4, (1.46, 1.46), 1.0, 633.0)
+TITANIA = PillarCell(
+    period_nm=(400.0, 400.0),
+    width_nm=250.0,
+    length_nm=180.0,
+    height_nm=600.0,
+    n_pillar=2.4,
+    n_substrate=(1.46, 1.46),
+    n_ambient=1.0,
+    wavelength_nm=633.0,
+)
 SHAPES = [{"shape": "ellipse"}, {"shape": "cross"}, {"corner_radius_nm": 30.0}]
 ROUNDING = 1e-11
 
@@ -82,7 +91,16 @@ def test_a_cross_answers_both_polarisations_alike_and_is_its_rectangles() -> Non
 @pytest.mark.parametrize("shape", SHAPES)
 def test_plain_fourier_modes_see_the_same_change_from_a_square_of_its_size(shape: dict[str, float]) -> None:
     """The direct rule is off by several hundredths at this truncation, but by nearly the same for both."""
-    square = PillarCell((350.0, 350.0), 220.0, 220.0, 300.0, 1.6, (1.0, 1.0), 1.0, 450.0)
+    square = PillarCell(
+        period_nm=(350.0, 350.0),
+        width_nm=220.0,
+        length_nm=220.0,
+        height_nm=300.0,
+        n_pillar=1.6,
+        n_substrate=(1.0, 1.0),
+        n_ambient=1.0,
+        wavelength_nm=450.0,
+    )
     cell = replace(square, **shape, **({"length_nm": 90.0} if shape.get("shape") == "cross" else {}))
 
     def sinc(size_nm: float, order: np.ndarray) -> np.ndarray:
@@ -127,7 +145,17 @@ def test_plain_fourier_modes_see_the_same_change_from_a_square_of_its_size(shape
 
 def test_thin_rods_in_the_long_wave_limit_are_a_film_of_maxwell_garnetts_index() -> None:
     """Cylinders that fill f of the plane: eps = 1 + 2 f b / (1 - f b), b = (eps_p - 1) / (eps_p + 1), to f^4."""
-    cell = PillarCell((40.0, 40.0), 18.0, 18.0, 400.0, 1.8, (1.0, 1.0), 1.0, 2000.0, shape="ellipse")
+    cell = PillarCell(
+        period_nm=(40.0, 40.0),
+        width_nm=18.0,
+        length_nm=18.0,
+        height_nm=400.0,
+        n_pillar=1.8,
+        n_substrate=(1.0, 1.0),
+        n_ambient=1.0,
+        wavelength_nm=2000.0,
+        shape="ellipse",
+    )
     fill = 0.25 * math.pi * (18.0 / 40.0) ** 2
     b = (1.8**2 - 1.0) / (1.8**2 + 1.0)
     n_film = math.sqrt((1.0 + fill * b) / (1.0 - fill * b))
@@ -139,7 +167,7 @@ def test_thin_rods_in_the_long_wave_limit_are_a_film_of_maxwell_garnetts_index()
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_stated_error_holds(shape: dict[str, float]) -> None:
     cell = replace(TITANIA, **shape)
-    response = rcwa.solve(cell, CellNumerics(1e-2, max_orders=10))
+    response = rcwa.solve(cell, CellNumerics(target_error=1e-2, max_orders=10))
     assert distance(response, zero_order(cell, 15)) <= response.error
 
 

@@ -12,7 +12,17 @@ from metafab.cell.rcwa.jones import distance
 from metafab.core.errors import InputError
 from tests.plain_modes import transmitted
 
-CELL = PillarCell((350.0, 303.0), 150.0, 120.0, 300.0, 1.6, (1.0, 1.0), 1.0, 800.0, is_staggered=True)
+CELL = PillarCell(
+    period_nm=(350.0, 303.0),
+    width_nm=150.0,
+    length_nm=120.0,
+    height_nm=300.0,
+    n_pillar=1.6,
+    n_substrate=(1.0, 1.0),
+    n_ambient=1.0,
+    wavelength_nm=800.0,
+    is_staggered=True,
+)
 
 
 def _plain_fourier(cell: PillarCell, orders: int) -> np.ndarray:

@@ -53,11 +53,11 @@ def test_both_ways_through_the_layer_agree_within_the_bound(cell: PillarCell) ->
 
 def test_conditioning_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     coated = replace(SILICON, over=(Slice(40.0, 1.41, 1.0),))
-    assert solve(coated, CellNumerics(1e-1)).details.condition == 0.0
+    assert solve(coated, CellNumerics(target_error=1e-1)).details.condition == 0.0
     monkeypatch.setattr(stack, "by_slabs", lambda *_: None)
-    assert solve(coated, CellNumerics(1e-1)).details.condition > 1.0
+    assert solve(coated, CellNumerics(target_error=1e-1)).details.condition > 1.0
     assert zero_order(SILICON, 4).conditioning == NO_MODES
-    assert solve(SILICON, CellNumerics(1e-2)).details.condition == 0.0
+    assert solve(SILICON, CellNumerics(target_error=1e-2)).details.condition == 0.0
 
 
 def test_an_answer_from_modes_too_ill_is_not_called_converged(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -71,9 +71,9 @@ def test_an_answer_from_modes_too_ill_is_not_called_converged(monkeypatch: pytes
         return LayerModes(modes.beta, e, h)
 
     monkeypatch.setattr(stack, "by_slabs", lambda *_: None)
-    assert solve(coated, CellNumerics(1e-1)).converged
+    assert solve(coated, CellNumerics(target_error=1e-1)).converged
     monkeypatch.setattr(stack, "layer_modes", nearly_defective)
-    spoilt = solve(coated, CellNumerics(1e-1, max_orders=6))
+    spoilt = solve(coated, CellNumerics(target_error=1e-1, max_orders=6))
     assert spoilt.details.condition > 1e12
     assert not spoilt.converged
     assert spoilt.error > 1e-1

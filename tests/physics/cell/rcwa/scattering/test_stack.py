@@ -138,7 +138,7 @@ def test_thick_layers_stay_stable(thickness_nm: float) -> None:
 def test_bound_holds_for_coated_pillars() -> None:
     for size_nm in ((150.0, 210.0), (120.0, 130.0)):
         cell = replace(SILICON, width_nm=size_nm[0], length_nm=size_nm[1], under=(FILM,), over=(CAP,))
-        response, reference = solve(cell, CellNumerics(1e-2)), zero_order(cell, 10)
+        response, reference = solve(cell, CellNumerics(target_error=1e-2)), zero_order(cell, 10)
         assert response.converged
         assert np.abs(response.t - reference.t).max() <= response.error
         assert np.abs(response.r - reference.r).max() <= response.error
