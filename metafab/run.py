@@ -28,7 +28,7 @@ from metafab.core.storage.tables import DAMAGED, table_sha256, typed
 from metafab.spec import Design, canonical_toml
 from metafab.steps import RESULT_STEPS
 from metafab.steps.job import Job, Step, relative_to, with_targets
-from metafab.steps.merit import recorded_coupling
+from metafab.steps.orders import recorded_coupling
 from metafab.steps.preflight import PREFLIGHT
 from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, RunSummary, SkippedStep, error_budget, ledger
 from metafab.steps.tolerance import recorded_tolerance

@@ -2,7 +2,7 @@
 
 A frame to judge a decoder by must not contain the decoder's own approximations. The pair is computed at the depths of
 the scene, so that nothing is interpolated over depth. Over the field it is computed at points that are refined until a
-pair interpolated between them meets the computed one. Its window may be wider than the calibration's.
+pair interpolated between them agrees with the computed one. Its window may be wider than the calibration's.
 """
 
 from __future__ import annotations
@@ -24,11 +24,14 @@ from metafab.spec.scene import Scene
 
 #: Field points along x and y of the first attempt: even numbers, so that few fall on those of a calibration.
 _FIRST_POINTS = (8, 4)
+#: Most field points along x or y.
 _MOST_POINTS = 64
 #: Window and error of PSFs by which decoders are judged.
 EXACT = PsfNumerics(window_px=96, target_error=3e-3)
+#: Most depths over all frames of a scene.
 _MOST_DEPTHS = 256
-#: Field over the tangent of the field's rim: the images' distortion lets pixels at the rim look further out.
+#: Half side of the computed field over that of the sensor: by the images' distortion, pixels at the rim see directions
+#: beyond it.
 _BEYOND = 1.03
 
 

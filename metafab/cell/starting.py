@@ -52,8 +52,10 @@ _NEARLY = 0.02
 _COSINES, _ORDER = 6, 3
 #: Sizes along each axis in the search, by the number of axes; and in the reach, which takes every size of one axis.
 _SIZES, _SIZES_OF_TWO = {1: 20, 2: 10}, 20
-#: Gap and smallest size over the period, and the largest of either that a rule needs, nm, or over the wavelength.
-_GAP, _FEATURE, _LARGEST_RULE_NM, _LARGEST_RULE = 0.28, 0.22, 100.0, 0.05
+#: Gap and smallest size over the period.
+_GAP, _FEATURE = 0.28, 0.22
+#: Largest gap or smallest size that is proposed as a rule: the larger of this length and this share of the wavelength.
+_LARGEST_RULE_NM, _LARGEST_RULE = 100.0, 0.05
 #: Hole and thinnest wall of rings over the period.
 _HOLE, _WALL = 0.2, 0.125
 _ROUND_NM = 10.0

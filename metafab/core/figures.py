@@ -127,7 +127,7 @@ class Remedy:
     """A change of the design that reduces the loss of depth accuracy by a wide filter."""
 
     change: str  #: Description.
-    information_kept: float  #: Information over that of one wavelength with the same electrons.
+    information_kept: float  #: Information over that at one wavelength with equal electrons.
     #: Cramer-Rao bound of depth over that of the unchanged design, with the electrons that the change lets through.
     depth_error_factor: float
 

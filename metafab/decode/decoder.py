@@ -34,8 +34,8 @@ from metafab.decode.segmentation.regions import find_regions, textured_pixel_dep
 from metafab.decode.segmentation.segments import Regions
 from metafab.optics.point_spread import Psf
 
-#: Candidate depths. The correlation between them is smooth enough for its peak: that of a spline for segments, that of
-#: a parabola for pixels, whose noise is larger than the parabola's error.
+#: Candidate depths. The peak of the correlation lies between them: that of a spline through them for segments, that of
+#: a parabola for pixels, where noise exceeds the error of the parabola.
 _CANDIDATES = 13
 #: Margin around the decoded window from which blur comes in, pixels.
 MARGIN_PX = 36
@@ -180,7 +180,7 @@ class Decoder:
     def prepare(self, frame: RawFrame, levels: Levels | None = None) -> PreparedFrame | str:
         """Register and downsample a frame of the decoder's shape, or return the reason why it cannot be decoded.
 
-        Levels are those of an earlier frame in the same light, or measured.
+        ``levels`` are those of an earlier frame in the same light; None to measure them in this frame.
         """
         grid, values = self.calibration.grid, np.asarray(frame.frame)
         if not abs(frame.pixel_um / grid.pixel_um - 1.0) <= 1e-6:

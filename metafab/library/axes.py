@@ -58,8 +58,8 @@ class CornerBox:
         return (1 if self.is_round else 2) + len(self.variables)
 
     @property
-    def exchanges(self) -> bool:
-        """Whether all axes preserve the symmetry under exchange of x and y."""
+    def keeps_xy_symmetry(self) -> bool:
+        """Whether the response keeps its symmetry under exchange of x and y along all axes."""
         return not _AZIMUTH_DEG.keys() & self.spans.keys()
 
     def completed(self, corner: Corner) -> dict[str, float]:

@@ -122,7 +122,7 @@ class Library(Displayed):
         corner = box.completed(axes)
         if corner == box.nominal:
             return self
-        exchange = box.exchanges and is_square(self.unit_cell) and np.array_equal(self.width_nm, self.length_nm)
+        exchange = box.keeps_xy_symmetry and is_square(self.unit_cell) and np.array_equal(self.width_nm, self.length_nm)
         model, error, model_error = self.corners.at(box, corner, self.width_nm, self.length_nm, exchange)
         amplitudes, is_round = model.on_grid(self.width_nm, self.length_nm), self.unit_cell.cell.is_round
         if is_round:
@@ -190,8 +190,8 @@ class Library(Displayed):
         found = []
         if self.neighbours is not None and not self.neighbours.pays:
             found.append(
-                f"the model of neighbours does not pay: {self.neighbours.summary}; it is used only where a design asks "
-                "for it. Raise `neighbours.rows` in the unit cell"
+                f"the model of neighbours does not lower the error: {self.neighbours.summary}; it is used only where a "
+                "design asks for it. Raise `neighbours.rows` in the unit cell"
             )
         beyond = int(np.count_nonzero(error > target))
         if not beyond:
@@ -204,9 +204,9 @@ class Library(Displayed):
             f"{beyond} of {known} sizes are beyond the target error {target:g}; the worst, "
             f"{worst}, is known to {error[row, column]:.2g}. "
             + (
-                "A layout takes others where they serve; "
+                "A layout uses other sizes where it can; "
                 if beyond < known
-                else "No size is known to it: a layout takes them all; "
+                else "No size is within it, so a layout uses them all; "
             )
             + "another height or period moves resonances",
         ]

@@ -27,9 +27,10 @@ from metafab.library.neighbours.storage import neighbours_of, put_neighbours
 from metafab.spec import UnitCell, canonical_toml
 from metafab.spec.toml import LIBRARY_FORMAT, LIBRARY_KIND, embedded_unit_cell
 
-#: Limit on the memory of a library in use: its least value (bytes), and bytes for each byte of the file; need of each
-#: size.
-_BYTES, _EXPANSION, _BYTES_OF_A_SIZE = 256e6, 32, 256
+#: Default of the limit ``memory_mb`` for a library in use: bytes at least, and bytes per byte of its file.
+_BYTES, _EXPANSION = 256e6, 32
+#: Memory of one size of a library in use, bytes.
+_BYTES_OF_A_SIZE = 256
 
 Statistics = TypeVar("Statistics", BuildStatistics, CornerStatistics)
 

@@ -25,7 +25,7 @@ from metafab.report.render import save_both
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import BARS, MAP, PICTURE, PLOT, Margins, depth_text, panel
 from metafab.spec.terms import Picture
-from metafab.steps.merit import MeritFigures
+from metafab.steps.optics.merit import MeritFigures
 
 #: Least end of the scale of size errors (nm), for lenses that print without any.
 _LEAST_NM = 1e-3

@@ -19,8 +19,8 @@ class FilterFigures:
     filter_fwhm_nm: float  #: Full width of the filter.
     dispersion_um_per_nm: float  #: Shift of an image along the split per nanometre.
     smear_um: float  #: Spread of a point along the split.
-    information_kept: float  #: Information over that of one wavelength with the same electrons.
-    depth_error_factor: float  #: Cramer-Rao bound of depth over that of one wavelength.
+    information_kept: float  #: Information over that at one wavelength with equal electrons.
+    depth_error_factor: float  #: Cramer-Rao bound of depth over that at one wavelength.
     remedies: tuple[Remedy, ...]  #: Effective changes, the most effective first.
 
 

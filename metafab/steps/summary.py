@@ -17,8 +17,10 @@ from metafab.steps.exposure import PrintedFigures
 from metafab.steps.images import CaptureFigures, DecodeFigures
 from metafab.steps.layout import DrcFigures, LayoutFigures
 from metafab.steps.library import LibraryFigures
-from metafab.steps.merit import CouplingFigures, LightsFigures, MeritFigures
 from metafab.steps.optics import PsfFigures
+from metafab.steps.optics.lights import LightsFigures
+from metafab.steps.optics.merit import MeritFigures
+from metafab.steps.orders import CouplingFigures
 from metafab.steps.phase import StudyFigures
 
 #: The file of the summary. It and the hidden ``.rerun.json`` hold times: equal designs give equal bytes in all others.

@@ -12,8 +12,8 @@ from metafab.steps.exposure import Printed, made_mask
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
-from metafab.steps.merit import lens_focus
 from metafab.steps.optics import filter_fwhm_nm, mask_source
+from metafab.steps.optics.merit import lens_focus
 
 FILE = "tolerance.json"
 

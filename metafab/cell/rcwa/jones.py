@@ -49,8 +49,8 @@ class SolvedClass:
     def shares_of_power(self) -> tuple[FloatArray, FloatArray]:
         """Transmitted and reflected power of each coefficient over the incident power, 0 where no light comes in.
 
-        Two arrays of shape (n, 2), for incident x and y. Only the sum of the two waves of one wave vector has a
-        meaning.
+        Two arrays of shape (n, 2), for incident x and y. A wave vector has two coefficients, of x and y; only the sum
+        of their two shares is a power.
         """
 
         def across(waves: Waves, field: ComplexArray) -> FloatArray:

@@ -48,7 +48,7 @@ class Downsampling:
         return rows, columns
 
     def frame_slices(self, rows: slice, columns: slice) -> tuple[slice, slice]:
-        """Frame pixels of the window that a part of the downsampled pixels stands for."""
+        """Slices of frame pixels that correspond to slices of downsampled pixels, cut at the end of the window."""
         frame_rows, frame_columns = (
             slice(at.start * self.step, min(at.stop * self.step, n))
             for at, n in zip((rows, columns), self.window, strict=True)
@@ -108,7 +108,7 @@ class Downsampling:
 def edge_taper(inner: int, margin: int, fade_share: float, size: int | None = None) -> FloatArray:
     """A cosine taper: 1 over the inner pixels, falling to 0 over the outer part of the margins on both sides.
 
-    A step where a transform wraps round would be common to both images and pull the depth. ``fade_share`` is the share
+    A step where a transform wraps round would be common to both images and bias the depth. ``fade_share`` is the share
     of the margin over which the taper falls; its length ``size``, shape (size,), is by default that of inner pixels and
     margins.
     """

@@ -47,11 +47,15 @@ _CHANGE, _JUMP = 0.65, 6.5
 _REFITS = 3
 #: Square of a pixel's distance from its segment, in standard errors, from which it is an outlier.
 _OUTLIER = 16.0
-#: A surface is curved where a plane's misfit is above the first number and a quadric leaves less than this share of it:
-#: a ball 8.7 and 0.15, walls behind outlines up to 2.4 and 0.8. Last: the share for several segments, against theirs.
-_UNFIT_PLANE, _CURVED_SHARE, _RINGS_SHARE = 2.6, 0.5, 0.93
-#: Least relative change of vergence by curvature; fewest pixels; one pixel in this number is fitted: windows overlap.
-_SMALLEST_RISE, _FEWEST_CURVED, _FITTED_SHARE = 5e-3, 200, 4
+#: A surface is curved where a plane's misfit is above the first number and a quadric's is below this share of it. A
+#: ball has 8.7 and 0.15, walls behind outlines up to 2.4 and 0.8.
+_UNFIT_PLANE, _CURVED_SHARE = 2.6, 0.5
+#: That share where the quadric replaces several segments, relative to their misfit.
+_RINGS_SHARE = 0.93
+#: Least relative change of vergence by curvature.
+_SMALLEST_RISE = 5e-3
+#: Fewest pixels of a curved surface. One pixel in four is fitted, because windows of neighbours overlap.
+_FEWEST_CURVED, _FITTED_SHARE = 200, 4
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,8 @@ class PreparedFrame:
     ) -> PreparedFrame | str:
         """Register and downsample a frame of the grid's shape, or return the reason why it cannot be decoded.
 
-        Levels are those of an earlier frame in the same light, or measured; ``spill`` is that of the calibration.
+        ``levels`` are those of an earlier frame in the same light; None to measure them in this frame.
+        ``spill`` is that of the calibration.
         """
         level_e = pedestal_e(frame) if levels is None else levels.pedestal_e
         frame = without_pedestal(frame, level_e)

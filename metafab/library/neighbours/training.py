@@ -52,10 +52,13 @@ _SITES = 7.0
 _HELD_OUT = 6
 #: Part of the light cone beyond which an order is grazing, and the weight of its squared residual in the fit.
 _GRAZING, _GRAZING_WEIGHT = 0.95, 0.3
-#: Fits from different random parameters. Each begins with two modes less of each parity, on one row in four; another of
-#: each and more rows come with every stage of this number of steps. The one with the smallest loss is fitted to its
-#: end, and again with each of the modes beyond :data:`SHAPES`.
-STARTS, _ONE_ROW_IN, _STAGE_STEPS, _LAST_STEPS = 4, (4, 2, 1), 25, 120
+#: Fits from different random parameters. The one with the smallest loss is fitted to its end, and again with each of
+#: the modes beyond :data:`SHAPES`.
+STARTS = 4
+#: Stages of a fit: one row in this number is fitted. The first stage lacks two modes of each parity, the second one.
+_ONE_ROW_IN = (4, 2, 1)
+#: Steps of a stage, and of the fit to its end.
+_STAGE_STEPS, _LAST_STEPS = 25, 120
 #: Stated errors over the smallest that hold on all held-out rows: a margin for rows yet unseen.
 _MARGIN = 1.15
 #: Error of a row of equal pillars, before that margin.

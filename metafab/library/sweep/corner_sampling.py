@@ -118,7 +118,7 @@ def sample_corners(
     """
     dimensions = box.dimensions
     most, nominal_count = numerics.most_cells * dimensions, len(nominal)
-    exchange = grid.exchange and box.exchanges
+    exchange = grid.exchange and box.keeps_xy_symmetry
     cells = _SolvedCells.of(grid, box, nominal)
     batch = np.arange(numerics.first_round * dimensions)
     cells = cells.with_new(sequence, batch, sequence.solve(solve_points, batch, nominal_count + most // 2))

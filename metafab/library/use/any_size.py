@@ -23,19 +23,27 @@ from metafab.library.axes import incidence
 from metafab.library.library import Library
 from metafab.library.surface import SizeResponse
 
-#: Cosines of solved sizes, polynomial order of those with curved outlines, and the error of upright rectangles,
-#: the least that is ever stated.
-_ORDERS, _ELEMENT_ORDER, SOLVER_ERROR = 5, 5, 1e-3
-#: Cosines and least number of slices against which other cells are judged, how many of them, and the factor from their
-#: change to an error. A circle of 200 nm with walls of 87 degrees changes by 0.10.
-_JUDGE_ORDERS, _JUDGE_SLICES, _JUDGED, _MARGIN = 9, 16, 3, 1.5
-#: Spectral elements: cells that are compared with the next lower order, and the factor from the change to the next
-#: higher one to the error, 0.4 to 1.9 on random circles, ellipses and rings of indices of 3.3 to 3.8, against order 8.
-#: Errors of order 5 were up to 6.8e-3 there, and beside a sharp resonance of a ring 0.1.
+#: RCWA: cosines along each axis.
+_ORDERS = 5
+#: Spectral elements: polynomial order.
+_ELEMENT_ORDER = 5
+#: Error of upright rectangles at these cosines; no smaller error is stated for any cell.
+SOLVER_ERROR = 1e-3
+#: Cells that are solved once more, finer, to estimate the error of all.
+_JUDGED = 3
+#: RCWA: cosines and fewest slices of the finer solution. A circle of 200 nm with walls of 87 degrees changes by 0.10.
+_JUDGE_ORDERS, _JUDGE_SLICES = 9, 16
+#: RCWA: error over the change to the finer solution.
+_MARGIN = 1.5
+#: Spectral elements: cells that are compared with the next lower order to find those that change most.
 _COMPARED = 24
+#: Spectral elements: error over the change to the next higher order. It was 0.4 to 1.9 on random circles, ellipses and
+#: rings of indices of 3.3 to 3.8, against order 8. Errors of order 5 were up to 6.8e-3 there, and 0.1 beside a sharp
+#: resonance of a ring.
 _ELEMENT_MARGIN = 2.5
-#: Most sizes that are solved: about a minute; in one process ten for circles.
+#: Most sizes that are solved at once: about a minute. Circles take ten minutes in one process.
 MOST_SOLVED = 4000
+#: Difference up to which two sizes count as equal (nm).
 _SAME_NM = 1e-6
 
 
@@ -69,9 +77,9 @@ def _solve(task: tuple[PillarCell, int], *, has_elements: bool) -> ComplexArray:
 def solver_error(tasks: Sequence[tuple[PillarCell, int]], amplitudes: ComplexArray) -> float:
     """Return the error of :func:`solved_amplitudes`, which gave the amplitudes of shape (n, 2).
 
-    For upright rectangles it is known. Of other cells, three are solved once more, finer: of sloped walls and crosses,
-    three that are spread evenly; of spectral elements, those that change most from the next lower order, among cells
-    that are spread evenly.
+    The error of upright rectangles is known. Otherwise three cells are solved once more, finer: with RCWA, three of
+    those with sloped walls or crosses, spread evenly; with spectral elements, the three that change most from the next
+    lower order.
     """
     by_elements = all(curved.is_treated(cell) for cell, _ in tasks)
     if by_elements:
@@ -137,7 +145,7 @@ def _on_grid(library: Library, size_nm: FloatArray) -> NDArray[np.bool_]:
 
 
 def must_be_solved(library: Library, size_nm: FloatArray) -> NDArray[np.bool_]:
-    """Whether the library gives no amplitude between its sizes at each size, shape (n,), of shape (n, 2)."""
+    """Whether each size must be solved, shape (n,): the library cannot interpolate there. Sizes have shape (n, 2)."""
     if not library.is_continuous:
         return ~_on_grid(library, size_nm)
     low = np.array([library.width_nm[0], library.length_nm[0]]) - _SAME_NM

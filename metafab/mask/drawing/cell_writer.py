@@ -33,7 +33,7 @@ class EncodedTile:
 
     variant: Variant  #: Bias and dose of the copies of the lens that the shapes belong to.
     cell: TileCell  #: Cell of the shapes.
-    #: Bytes of the elements, shape (n,) each: of each stamp or of all, in a flat mask for each copy of the lens.
+    #: Bytes of the elements in pieces of shape (n,); a flat mask has them once for each copy of the lens.
     content: tuple[NDArray[np.uint8], ...]
     cells: Mapping[str, bytes] = field(default_factory=dict)  #: Encoded cells to which the elements refer, by name.
 
@@ -71,7 +71,7 @@ class TileEncoder(ABC):
 
 
 class MaskWriter(ABC):
-    """Writes a mask tile by tile to a binary stream at its start, in the memory of the tiles in flight.
+    """Writes a mask tile by tile from the start of a binary stream; only tiles that are being written are in memory.
 
     InputError if the format cannot hold the mask.
     """

@@ -25,8 +25,10 @@ Quantity: TypeAlias = Literal["scalar", "flux", "energy"]
 #: A factor of the light of each site: shape (n_y, n_x) at x, shape (1, n_x), and y, shape (n_y, 1).
 Weight: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 
-#: Fewest nodes over the cone; number and largest of the radii of the effect, wavelength / (2 pi NA).
-_NODES, _RADII, _RADIUS = 48, 400, 30.0
+#: Fewest nodes of the integral over the cone of light.
+_NODES = 48
+#: Radii at which the effect is evaluated: their number, and the largest in units of wavelength / (2 pi NA).
+_RADII, _RADIUS = 400, 30.0
 
 
 def weights(quantity: Quantity, target_um: tuple[float, float, float], polarisation: int) -> list[Weight | None]:

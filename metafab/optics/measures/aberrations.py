@@ -2,7 +2,7 @@
 
 The path of the ray to the image point is removed at every pillar, and blocks of pillars are summed. The phase of a
 block's sum is the wavefront error, positive where light arrives late. It is unwrapped by least squares: polynomials
-follow the phase steps between neighbouring blocks, and what they leave is within half a wave.
+are fitted to the phase steps between neighbouring blocks, and the residual is within half a wave.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from metafab.library.neighbours.windows import HALO_SITES, NeighbourTables
 from metafab.library.use.amplitudes import half_space_indices
 from metafab.optics.sources.source import FieldTile, WrittenField, written_field
 
-#: Sites of a tile along each side. Its neighbours on all sides are solved with it: 48 more sites a side cost a sixth.
+#: Sites of a tile along x and y. It is solved with 24 more sites on all four sides, which cost a sixth more time.
 _TILE_SITES = 512
 #: Most bytes of amplitudes that are kept, those of a lens of 4 mm at the paper's period. Beyond, every pass solves.
 _MOST_KEPT_BYTES = 1 << 31
@@ -69,7 +69,7 @@ class NeighbourField:
         return list(range(0, self.lattice.shape[1], _TILE_SITES))
 
     def tiles(self) -> Iterator[FieldTile]:
-        """Return the tiles with pillars; threads solve them once, and the amplitudes do not depend on their number."""
+        """Return the tiles with pillars, solved on the first pass; the number of threads does not change amplitudes."""
         if self._kept.amplitudes is not None:
             yield from self._kept_tiles(self._kept.amplitudes)
             return

@@ -46,7 +46,7 @@ class BandwidthTradeoff:
     fwhm_nm: FloatArray  #: Shape (n_width,), full widths of a filter with a flat top.
     angle_deg: FloatArray  #: Shape (n_angle,), angles of the split.
     smear_um: FloatArray  #: Shape (n_angle, n_width), spread of a point along the split.
-    kept: FloatArray  #: Shape (n_angle, n_width), information over that of one wavelength with the same electrons.
+    kept: FloatArray  #: Shape (n_angle, n_width), information over that at one wavelength with equal electrons.
     #: Shape (n_angle, n_width), Cramer-Rao bound of depth with the electrons that the filter passes, over that at one
     #: wavelength with the electrons of the reference width.
     relative_error: FloatArray
@@ -141,11 +141,11 @@ class BandwidthBudget:
     angle_deg: float  #: Angle of the split.
     dispersion_um_per_nm: float  #: Shift of an image along the split per nanometre.
     smear_um: float  #: Spread of a point along the split.
-    kept: float  #: Information over that of one wavelength with the same electrons.
+    kept: float  #: Information over that at one wavelength with equal electrons.
     #: Effective changes, the most effective first. Another diffraction order of the carrier is no remedy: at a given
     #: angle every order has the dispersion tan(theta) / lambda of the grating equation.
     remedies: tuple[Remedy, ...]
-    #: Widths against angles; errors are over those of one wavelength with the chosen filter's electrons.
+    #: Widths against angles; errors are relative to those at one wavelength with the electrons of the chosen filter.
     tradeoff: BandwidthTradeoff
     #: Shape (n_azimuth,), directions of the split relative to the mask; 180 swaps the polarisations.
     azimuth_deg: FloatArray
@@ -153,7 +153,7 @@ class BandwidthBudget:
 
     @property
     def depth_error_factor(self) -> float:
-        """Cramer-Rao bound of depth over that of one wavelength; infinite without information."""
+        """Cramer-Rao bound of depth over that at one wavelength; infinite without information."""
         return math.inf if self.kept == 0.0 else self.kept**-0.5
 
 

@@ -106,24 +106,25 @@ def _put_bandwidth(group: h5py.Group, budget: BandwidthBudget) -> None:
     for name in _BUDGET:
         group.attrs[name] = getattr(budget, name)
     curves, axes, azimuth = budget.tradeoff, ("angle_deg", "fwhm_nm"), ("azimuth_deg",)
-    kept = "information over that of one wavelength with the same electrons"
-    error = "deviation of depth over that of one wavelength with the chosen filter's electrons"
+    kept = "information about depth over that at one wavelength, with equal electrons"
+    error = "standard deviation of depth over that at one wavelength with the electrons of the chosen filter"
     changes = np.array([remedy.change for remedy in budget.remedies], dtype="U")
     remedy_kept = [remedy.information_kept for remedy in budget.remedies]
     remedy_error = [remedy.depth_error_factor for remedy in budget.remedies]
+    deviation = "standard deviation of depth with the change, over that without it"
     _put(
         group,
         [
             ("fwhm_nm", curves.fwhm_nm, "nm", "width of the filter", ("fwhm_nm",)),
-            ("angle_deg", curves.angle_deg, "degree", "of the split", ("angle_deg",)),
+            ("angle_deg", curves.angle_deg, "degree", "angle of the split", ("angle_deg",)),
             ("smear_um", curves.smear_um, "um", "spread of a point along the split", axes),
             ("kept", curves.kept, "1", kept, axes),
             ("relative_error", curves.relative_error, "1", error, axes),
-            ("azimuth_deg", budget.azimuth_deg, "degree", "direction of the split against the mask", azimuth),
-            ("kept_by_azimuth", budget.kept_by_azimuth, "1", "information kept at that direction", azimuth),
+            ("azimuth_deg", budget.azimuth_deg, "degree", "direction of the split relative to the mask", azimuth),
+            ("kept_by_azimuth", budget.kept_by_azimuth, "1", "information kept for that direction", azimuth),
             ("remedy", changes, "1", "change of the design", ("remedy",)),
-            ("remedy_kept", remedy_kept, "1", "information kept with it", ("remedy",)),
-            ("remedy_error", remedy_error, "1", "deviation of depth with it over without", ("remedy",)),
+            ("remedy_kept", remedy_kept, "1", "information kept with the change", ("remedy",)),
+            ("remedy_error", remedy_error, "1", deviation, ("remedy",)),
         ],
     )
 

@@ -101,16 +101,16 @@ def depth_view(view: DepthView) -> Figure:
     extent = (0.0, float(n_x), 0.0, float(n_y))
     scale, unit = depth_unit(view.true_depth_m)
     top = _top(view.true_intensity)
-    true_cm, decoded_cm = scale * view.true_depth_m, scale * view.depth_m
-    shades: dict[str, Any] = {"cmap": DEPTH_MAP, "vmin": np.nanmin(true_cm), "vmax": np.nanmax(true_cm)}
+    true_depth, decoded_depth = scale * view.true_depth_m, scale * view.depth_m
+    shades: dict[str, Any] = {"cmap": DEPTH_MAP, "vmin": np.nanmin(true_depth), "vmax": np.nanmax(true_depth)}
     light: dict[str, Any] = {"cmap": "gray", "vmin": 0.0, "vmax": top}
     errors: dict[str, Any] = {"cmap": CONTRAST_MAP, "vmin": -5.0, "vmax": 5.0}
     maps = (
         ("I_x, true", view.true_intensity, "electrons", light),
         ("I_x, decoded", view.intensity, "electrons", light),
         ("Confidence", view.confidence, "confidence", {"cmap": SHARE_MAP, "vmin": 0.0, "vmax": 1.0}),
-        ("Depth, true", true_cm, f"depth / {unit}", shades),
-        ("Depth, decoded", decoded_cm, f"depth / {unit}", shades),
+        ("Depth, true", true_depth, f"depth / {unit}", shades),
+        ("Depth, decoded", decoded_depth, f"depth / {unit}", shades),
         ("Error of depth", 100.0 * (view.depth_m / view.true_depth_m - 1.0), "error / %", errors),
     )
     for index, (title, values, label, options) in enumerate(maps):

@@ -29,7 +29,7 @@ from metafab.report.style import (
     scale_bar,
     show_map,
 )
-from metafab.steps.merit import SpaceVarianceFigures
+from metafab.steps.optics.merit import SpaceVarianceFigures
 
 _MOST_COLUMNS = 8
 

@@ -13,7 +13,8 @@ from metafab.report.run_folder import RunFolder
 from metafab.report.style import depth_text
 from metafab.spec.light import light_label
 from metafab.steps.layout import LayoutFigures
-from metafab.steps.merit import LightsFigures, MeritFigures
+from metafab.steps.optics.lights import LightsFigures
+from metafab.steps.optics.merit import MeritFigures
 
 #: Source of the simulated light, by whether the design has a mask.
 _SOURCE = {True: "the pillars in the written file", False: "the target phases themselves: this design writes no mask"}

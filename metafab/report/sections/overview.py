@@ -14,7 +14,8 @@ from metafab.report.run_folder import RunFolder
 from metafab.spec.light import light_label
 from metafab.spec.terms import Grating, PhaseTerm
 from metafab.steps.layout import LayoutFigures
-from metafab.steps.merit import LightFigures, LightsFigures, MeritFigures
+from metafab.steps.optics.lights import LightFigures, LightsFigures
+from metafab.steps.optics.merit import MeritFigures
 
 #: Mean relative depth error below which the headline is marked as good.
 _GOOD_DEPTH_ERROR = 0.01

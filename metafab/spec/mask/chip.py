@@ -61,7 +61,7 @@ class Copy:
     """One of several lenses on a chip, for process variants."""
 
     at_um: tuple[Real, Real]  #: Centre (x, y) of the lens.
-    #: Added to `mask.bias_nm`; the mapping leaves no room for it, and one that breaks a design rule is refused.
+    #: Added to `mask.bias_nm`. The mapping keeps gaps without it; a bias that breaks a design rule is refused.
     bias_nm: Real = 0.0
     dose: Positive = 1.0  #: Dose relative to the base dose; each distinct dose has datatypes of its own.
     #: Focus of the beam above the resist's surface; listed for the writer, and widens the blur of printed pillars.

@@ -113,7 +113,7 @@ def test_no_corner_is_the_nominal_cell(unit_cell: UnitCell) -> None:
 def test_the_box_holds_the_bias_in_its_sizes(box: CornerBox) -> None:
     assert box.width_nm == box.length_nm == (95.0, 255.0)
     assert box.variables == ("wavelength_nm", "height_nm", "sidewall_angle_deg", "pillar_n_shift", "angle_x_deg")
-    assert not box.exchanges
+    assert not box.keeps_xy_symmetry
 
 
 @given(

@@ -57,5 +57,5 @@ def test_a_model_that_is_worse_than_lone_pillars_is_said_not_to_pay(smooth_libra
     bad = replace(good, along=(worse, worse))
     assert good.pays and not bad.pays
     (sentence,) = replace(smooth_library, neighbours=bad).warnings()
-    assert "does not pay" in sentence and "neighbours.rows" in sentence
+    assert "does not lower the error" in sentence and "neighbours.rows" in sentence
     assert replace(smooth_library, neighbours=good).warnings() == []

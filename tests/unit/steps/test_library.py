@@ -8,7 +8,7 @@ from pathlib import Path
 from metafab.spec import Light, load_design
 from metafab.steps.job import Job
 from metafab.steps.library import library_path
-from metafab.steps.merit import LIGHTS
+from metafab.steps.optics.lights import LIGHTS
 from tests.main_job import ROOT
 
 

@@ -15,8 +15,8 @@ from metafab.spec import Design
 from metafab.steps.images import DecodeFigures
 from metafab.steps.job import Job
 from metafab.steps.layout import LayoutFigures, mask_paths
-from metafab.steps.merit import CouplingFigures, recorded_coupling
 from metafab.steps.optics import PsfFigures
+from metafab.steps.orders import CouplingFigures, recorded_coupling
 from metafab.steps.summary import BudgetLine, RunSummary, Saving, error_budget, ledger
 from tests.closed_form_run import run_summary
 

@@ -201,8 +201,8 @@ def test_sizes_beyond_the_target_error_are_taken_only_where_no_other_serves(smoo
     (sentence,) = doubtful.warnings()
     assert "5 of 5776 sizes are beyond the target error" in sentence
     assert smooth_library.warnings() == []
-    assert "A layout takes others where they serve" in sentence
+    assert "A layout uses other sizes where it can" in sentence
     # Where nothing else is left they serve.
     everywhere = replace(smooth_library, error=np.full_like(error, 4.19))
-    assert "No size is known to it: a layout takes them all" in everywhere.warnings()[0]
+    assert "No size is within it, so a layout uses them all" in everywhere.warnings()[0]
     assert build_size_table(everywhere, database_unit_nm=0.5, cells=CELLS).size_index.min() >= 1

@@ -12,7 +12,7 @@ from metafab.core.figures import OrderFigures, OrdersFigures
 from metafab.fullwave.coupling import CouplingRow
 from metafab.report.figures import mask as figures
 from metafab.report.style import panel
-from metafab.steps.merit import CouplingFigures
+from metafab.steps.orders import CouplingFigures
 from metafab.steps.summary import RunSummary
 
 

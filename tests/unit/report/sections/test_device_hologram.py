@@ -24,8 +24,9 @@ from metafab.report.sections.images import imaging
 from metafab.report.sections.light import point_spread
 from metafab.report.sections.overview import accounts, headlines
 from metafab.spec import load_design, write_new
-from metafab.steps.merit import LightFigures, LightsFigures, MeritFigures
 from metafab.steps.optics import PairFigures
+from metafab.steps.optics.lights import LightFigures, LightsFigures
+from metafab.steps.optics.merit import MeritFigures
 from tests.closed_form_run import closed_form_run, turning_psf
 
 

@@ -16,8 +16,8 @@ from metafab.library import Library
 from metafab.report.run_folder import DesignOutline, RunFolder
 from metafab.report.sections.light import point_spread, tolerances
 from metafab.report.sections.overview import subtitle
-from metafab.steps.merit import LightFigures, LightsFigures
 from metafab.steps.optics import PairFigures
+from metafab.steps.optics.lights import LightFigures, LightsFigures
 from metafab.steps.summary import RunSummary
 from tests.closed_form_run import closed_form_run, turning_psf
 

@@ -1,7 +1,4 @@
-"""Figures of merit of the written mask, compared with the target phases, a standard lens and measured values.
-
-A mask that serves several wavelengths has a PSF pair and a focus at each of them.
-"""
+"""Figures of merit of the written mask, compared with the target phases, a standard lens and measured values."""
 
 from __future__ import annotations
 
@@ -14,18 +11,18 @@ import numpy as np
 
 from metafab.core.conventions import POLARISATIONS, FloatArray
 from metafab.core.errors import InputError
-from metafab.core.figures import AberrationFigures, FocusFigures, Loss, OrdersFigures, SpaceVariance, Wavefront
-from metafab.core.storage.files import file_sha256, read_json, write_json
+from metafab.core.figures import AberrationFigures, FocusFigures, Loss, SpaceVariance, Wavefront
+from metafab.core.storage.files import write_json
 from metafab.core.storage.pictures import read_grey
 from metafab.core.storage.tables import optional, typed
-from metafab.spec import Design, Light
+from metafab.spec import Design
 from metafab.spec.design import Measured
-from metafab.spec.light import light_label
 from metafab.spec.terms import Lens, Picture, Radial, SplitLens, forms_images
-from metafab.steps.job import Job, Step, in_folder, light_tangent, no_mask
+from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
-from metafab.steps.optics import PairFigures, lit_source, mask_source, point_spread, save_psf, written_light
+from metafab.steps.optics.sources import lit_source, written_light
+from metafab.steps.orders import recorded_coupling
 
 if TYPE_CHECKING:
     from metafab.optics import Imaging, Psf
@@ -35,10 +32,6 @@ if TYPE_CHECKING:
 _FREQUENCIES = 33
 #: Sites across a lens, at least, for a wavefront of 36 polynomials.
 _FEWEST_SITES = 24
-#: Numerical aperture from which a run solves rows of a lens: a turn of its phase at the rim takes two to four pillars.
-_STEEP = 0.5
-#: File of the orders of a mask whose pattern repeats.
-_ORDERS_FILE, _ORDERS_KIND = "orders.json", "metafab orders"
 
 
 @dataclass(frozen=True)
@@ -113,119 +106,6 @@ class MeritFigures:
     #: Wavefront of a lens at the focus depth, for each polarisation that it focuses; None for other devices and where
     #: too few places transmit for 36 polynomials.
     aberrations: tuple[AberrationFigures, ...] | None = optional()
-
-
-@dataclass(frozen=True)
-class LightFigures:
-    """The written mask in one light."""
-
-    wavelength_nm: float  #: Vacuum wavelength.
-    file: str  #: PSF pair of the written mask at the verified depths.
-    pair: PairFigures  #: Its figures.
-    ideal_efficiency_x: tuple[float, ...]  #: Efficiency of the target phases, for each depth; likewise y.
-    ideal_efficiency_y: tuple[float, ...]
-    focus: FocusFigures | None = optional()  #: The focus of a lens; None for other devices and at an angle.
-    angle_x_deg: float = 0.0  #: Angle of incidence in the x-z plane, in the medium of incidence.
-    angle_y_deg: float = 0.0  #: Likewise in the y-z plane.
-
-    @property
-    def label(self) -> str:
-        """Wavelength and direction in words."""
-        return light_label(self.wavelength_nm, self.angle_x_deg, self.angle_y_deg)
-
-
-@dataclass(frozen=True)
-class LightsFigures:
-    """The written mask at every wavelength that it serves."""
-
-    lights: tuple[LightFigures, ...]  #: In the order of the design.
-
-    def warnings(self) -> list[str]:
-        """Return a sentence for each light that misses the window."""
-        return [f"at {each.label} {text}" for each in self.lights for text in each.pair.warnings()]
-
-
-@dataclass(frozen=True)
-class CouplingFigures:
-    """Error of the local-period approximation, from full-wave simulations of rows of the mask."""
-
-    coupling_error: float  #: Relative L2 error of the field.
-    efficiency_ratio: float  #: Power in the wanted order relative to that of the stitched library.
-    rows: int  #: Simulated rows, or repeats of the pattern.
-    solvers: tuple[str, ...]  #: Names of the solvers.
-    #: That ratio of x and of y polarised light, where the pattern repeats.
-    polarised_ratio: tuple[float, ...] | None = optional()
-
-
-def recorded_coupling(job: Job) -> CouplingFigures | None:
-    """Figures of rows by ``metafab coupling``, or of the step ``orders``, for a mask of this run; None without any."""
-    rows, orders = job.folder / "coupling.json", job.folder / _ORDERS_FILE
-    if not rows.is_file() and not orders.is_file():
-        return None
-    from metafab import fullwave
-
-    of_masks = {file_sha256(path) for path in mask_paths(job)}
-    for coupling in map(fullwave.load_coupling, (rows, orders)):
-        if coupling is not None and coupling.mask_sha256 in of_masks:
-            solvers = tuple(sorted({row.solver for row in coupling.rows}))
-            return CouplingFigures(coupling.coupling_error, coupling.efficiency_ratio, len(coupling.rows), solvers)
-    return read_json(orders, _ORDERS_KIND, 1, lambda table: _of_orders(table, of_masks))
-
-
-def _of_orders(table: dict[str, Any], of_masks: set[str]) -> CouplingFigures | None:
-    figures = typed(OrdersFigures, table["figures"])
-    if table["mask_sha256"] not in of_masks or figures.windows is None or figures.coupling_error is None:
-        return None
-    shares = np.array([figures.wanted(p) for p in POLARISATIONS])
-    ratio, mean = shares[:, 0] / shares[:, 2], float(shares[:, 0].sum() / shares[:, 2].sum())
-    return CouplingFigures(figures.coupling_error, mean, figures.windows, ("rcwa",), tuple(ratio.tolist()))
-
-
-def _orders(job: Job) -> OrdersFigures:
-    from metafab.fullwave.repeats import measure_orders
-
-    path = mask_paths(job)[-1]
-    if _focuses(job.design):
-        try:
-            return _rings(job, path)
-        except InputError as error:
-            figures = OrdersFigures(reason=f"no rows of the lens were solved ({error.faults[0]})")
-            return _saved_orders(job, path, figures)
-    with job.work.processes() as executor:
-        figures = measure_orders(
-            mask_source(job, path).pillars, open_library(job), executor=executor, progress=job.work.progress
-        )
-    return _saved_orders(job, path, figures)
-
-
-def _saved_orders(job: Job, path: Path, figures: OrdersFigures) -> OrdersFigures:
-    content = {"kind": _ORDERS_KIND, "format_version": 1, "mask_sha256": file_sha256(path), "figures": figures}
-    write_json(job.folder / _ORDERS_FILE, content)
-    return figures
-
-
-def _rings(job: Job, path: Path) -> OrdersFigures:
-    """Rows of a steep lens instead of repeats, kept as those of ``metafab coupling``; InputError if it has none."""
-    from metafab.fullwave.coupling import measure_rings, save_coupling
-
-    pillars, radius_um = mask_source(job, path).pillars, 0.5 * job.design.device.aperture_um
-    found = measure_rings(pillars, open_library(job), radius_um, file_sha256(path), job.work.progress)
-    save_coupling(found, job.folder / _ORDERS_FILE)
-    return OrdersFigures(
-        windows=len(found.rows), coupling_error=found.coupling_error, efficiency_ratio=found.efficiency_ratio
-    )
-
-
-def _focuses(design: Design) -> bool:
-    return any(isinstance(term, Lens | Radial | SplitLens) for term in design.phase)
-
-
-def _has_no_orders(design: Design) -> str | None:
-    from metafab.optics import Imaging
-
-    if (reason := no_mask(design)) or not _focuses(design) or Imaging.of(design).numerical_aperture >= _STEEP:
-        return reason
-    return "the design focuses light: its pillars do not repeat"
 
 
 def _merit(job: Job) -> MeritFigures:
@@ -416,42 +296,6 @@ def _space_variance(imaging: Imaging, written: Psf) -> SpaceVarianceFigures | No
     return SpaceVarianceFigures(**vars(field), depth_m=middle_m, seen_bias_dioptre=bias_dioptre)
 
 
-def _light_path(job: Job, light: Light) -> Path:
-    angles = "".join(f"_{axis[6]}{angle:.12g}deg" for axis, angle in light.angles_deg.items())
-    return job.folder / f"psf_{light.wavelength_nm:.12g}nm{angles}.h5"
-
-
-def _at_light(job: Job, light: Light) -> LightFigures:
-    from metafab.optics import Imaging
-
-    alone, mask_path = job.at_light(light), mask_paths(job)[-1]
-    tangent = light_tangent(alone.design, light) if light.angles_deg else None
-    (written, light_at_um), (ideal, _) = (point_spread(alone, path, tangent=tangent) for path in (mask_path, None))
-    save_psf(alone, written, mask_path, _light_path(job, light))
-    is_focus = alone.design.is_lens and tangent is None
-    return LightFigures(
-        wavelength_nm=light.wavelength_nm,
-        file=_light_path(job, light).name,
-        pair=PairFigures.of(written, light_at_um),
-        ideal_efficiency_x=tuple(ideal.efficiency[0].tolist()),
-        ideal_efficiency_y=tuple(ideal.efficiency[1].tolist()),
-        focus=focus_figures(alone, Imaging.of(alone.design), mask_path) if is_focus else None,
-        angle_x_deg=light.angle_x_deg,
-        angle_y_deg=light.angle_y_deg,
-    )
-
-
-ORDERS = Step(
-    name="orders",
-    rooms=("mask", "cell", "library", "fullwave"),
-    after=("library", "layout"),
-    inputs=lambda d: d.mask.bias_nm,
-    outputs=in_folder(_ORDERS_FILE),
-    work=_orders,
-    figures=OrdersFigures,
-    not_needed=_has_no_orders,
-)
-
 MERIT = Step(
     name="merit",
     rooms=("mask", "library", "optics", "phase"),
@@ -462,15 +306,4 @@ MERIT = Step(
     figures=MeritFigures,
     not_needed=no_mask,
     reads=("coupling.json",),
-)
-
-LIGHTS = Step(
-    name="lights",
-    rooms=("mask", "library", "optics", "phase"),
-    after=("library", "phase", "layout"),
-    inputs=lambda d: (d.light, d.phase, d.device, d.sensor, d.verify, d.optics, d.substrate),
-    outputs=lambda job: tuple(_light_path(job, light) for light in job.design.light),
-    work=lambda job: LightsFigures(tuple(_at_light(job, light) for light in job.design.light)),
-    figures=LightsFigures,
-    not_needed=lambda design: no_mask(design) or (None if design.light else "the design serves one wavelength"),
 )

@@ -22,7 +22,7 @@ from metafab.spec import Design
 from metafab.spec.design import Optics
 from metafab.steps.job import Job
 from metafab.steps.library import library_path
-from metafab.steps.optics import mask_source, point_spread, written_light
+from metafab.steps.optics import mask_source, written_light
 
 
 @pytest.fixture
@@ -78,8 +78,3 @@ def test_a_missing_mask_says_so_before_any_library_is_built(small_design: Design
     with pytest.raises(InputError, match=r"gone\.oas"):
         mask_source(job, tmp_path / "gone.oas")
     assert not library_path(job).exists()
-
-
-def test_coarse_pixels_are_refused_before_the_mask_is_read(design: Design, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="finest fringe"):
-        point_spread(Job(design, tmp_path), tmp_path / "gone.oas", pixel_um=50.0)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from metafab.steps.merit import LightFigures, LightsFigures
 from metafab.steps.optics import PairFigures
+from metafab.steps.optics.lights import LightFigures, LightsFigures
 from tests.closed_form_run import turning_psf
 
 

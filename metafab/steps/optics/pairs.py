@@ -1,0 +1,297 @@
+"""PSF pairs of the written mask and of the target phases, and the step ``psf``.
+
+In all functions ``path`` is a mask file, or None for the target phases. ``copy`` is the number of the lens in a file
+that holds several, from 1. ``printed`` selects the pillars that ``[process]`` makes; None for those of the file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.errors import InputError
+from metafab.core.parallel.work import Work
+from metafab.core.storage.files import file_sha256, fingerprint
+from metafab.core.storage.provenance import contents_sha256
+from metafab.spec import Design, Scene
+from metafab.steps.exposure import Printed
+from metafab.steps.job import Job, Step, in_folder
+from metafab.steps.layout import mask_paths
+from metafab.steps.library import library_path, open_library
+from metafab.steps.optics.figures import PsfFigures
+from metafab.steps.optics.sources import ideal_source, lit_source, source_of, written_light
+
+if TYPE_CHECKING:
+    from metafab.layout import PillarMap
+    from metafab.optics import Imaging, Psf, Source
+    from metafab.optics.measures.landing import Places
+
+#: Share of the target error that remains to blocks of the pupil and to depths where nothing is to be left out.
+UNSKIPPED_SHARE = 0.1
+#: Margin of the decoder's calibration beyond the scene, as a share of the scene's range of vergence.
+DEPTH_MARGIN = 0.08
+#: Smallest margin, as a share of the nearest object's vergence; it serves scenes at one depth.
+SMALLEST_MARGIN = 0.02
+
+
+def point_spread(
+    job: Job,
+    path: Path | None,
+    *,
+    depths_m: tuple[float, ...] | None = None,
+    object_mm: tuple[float, float] = (0.0, 0.0),
+    pixel_um: float | None = None,
+    window_px: int | None = None,
+    target_error: float | None = None,
+    copy: int = 1,
+    centre_um: tuple[float, float] | None = None,
+    printed: Printed | None = None,
+    sizes: Path | None = None,
+    tangent: tuple[float, float] | None = None,
+) -> tuple[Psf, Places | None]:
+    """PSF pair of a written file, or of the target phases, and where its light is if a window misses it.
+
+    Args:
+        path: the mask file; None for the target phases.
+        depths_m: object depths in increasing order; None for those of ``[verify]``, as for the window and the error.
+        object_mm: object position (x, y), mm from the axis.
+        pixel_um: sampling step; None for the pixel of the sensor.
+        window_px: side of the window, pixels.
+        target_error: largest relative L2 error.
+        copy: number of the lens in a file that holds several, from 1.
+        centre_um: centre of the window on the sensor, um from the axis; None for the image point of the design.
+        printed: pillars as ``[process]`` makes them; None for those of the file.
+        sizes: table of measured sizes (:func:`metafab.optics.sources.measured.with_measured_sizes`); None for none.
+        tangent: direction (x/z, y/z) of the object at every depth, in place of ``object_mm``.
+
+    Raises:
+        InputError: a file cannot be used, or an object at infinity has a position.
+    """
+    from metafab import optics
+    from metafab.optics.interpolation import concatenate
+    from metafab.optics.measures.landing import light_elsewhere
+    from metafab.optics.numerics import require_valid
+
+    imaging, verify = optics.Imaging.of(job.design), job.design.verify
+    depths_m = verify.depths_m if depths_m is None else depths_m
+    window_px = verify.window_px if window_px is None else window_px
+    target_error = verify.target_error if target_error is None else target_error
+    if pixel_um is not None:
+        imaging = replace(imaging, pixel_um=pixel_um)
+    if centre_um is not None:
+        imaging = imaging.aimed_at(centre_um)
+    x_mm, y_mm = object_mm
+    if (x_mm, y_mm) != (0.0, 0.0) and math.inf in depths_m:
+        expected = "an object at a finite depth"
+        remedy = "leave inf out of --depths-m: a position in mm is no direction there"
+        raise InputError.single("psf", "--object-mm", expected, f"{x_mm:g} {y_mm:g} mm at infinity", remedy)
+    # On the axis, all depths lie in one direction and share one pass over the pillars.
+    numerics = optics.PsfNumerics(
+        window_px=window_px,
+        target_error=target_error,
+        filter_fwhm_nm=filter_fwhm_nm(job.design),
+        vectorial=verify.vectorial,
+    )
+    passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
+    tangents = [tangent or (1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
+    for depths, direction in zip(passes, tangents, strict=True):
+        require_valid(imaging, depths, direction, None, numerics)  # before the mask is read
+    source, made_error = source_of(job, path, copy, printed, sizes)
+    stacks = [
+        optics.psf(source, imaging, depths, numerics, tangent=tangent, work=job.work)
+        for depths, tangent in zip(passes, tangents, strict=True)
+    ]
+    middle = len(passes) // 2
+    return _stating(concatenate(stacks), made_error), light_elsewhere(source, imaging, stacks[middle], tangents[middle])
+
+
+def calibration(job: Job, path: Path | None, *, copy: int = 1, printed: Printed | None = None) -> Psf:
+    """PSF pair over the depths and the field of the design's scene, as a run computes it for the decoder.
+
+    InputError if the design has no scene.
+    """
+    if job.design.scene is None:
+        raise InputError.single(job.design.name, "scene", "one, whose depths and field are covered", "none", "add it")
+    source, made_error = source_of(job, path, copy, printed)
+    return _stating(_calibration(job, source), made_error)
+
+
+def calibration_depths(design: Design, imaging: Imaging, target_error: float | None = None) -> tuple[float, ...]:
+    """Depths of the PSF stack: the verified depths, and interpolation nodes over the range of the scene.
+
+    ``target_error`` is the largest relative L2 error of interpolation; that of ``[verify]`` by default.
+    """
+    from metafab import optics
+
+    if design.scene is None:
+        return design.verify.depths_m
+    near, far = 1.0 / design.depths_m[0], 1.0 / design.depths_m[-1]
+    margin = max(DEPTH_MARGIN * (near - far), SMALLEST_MARGIN * near)
+    farthest_m = 1.0 / (far - margin) if far > margin else math.inf
+    nodes = optics.depth_nodes(imaging, 1.0 / (near + margin), farthest_m, target_error or design.verify.target_error)
+    return tuple(sorted({*design.verify.depths_m, *(float(z) for z in nodes)}))
+
+
+def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1, printed: Printed | None = None) -> Psf:
+    """PSF pair at the exact depths and directions of a scene, in all of its frames, without interpolation over depth.
+
+    The scene of the design is not used.
+    """
+    from metafab import camera, optics
+    from metafab.camera.exact import EXACT
+
+    (source, made_error), imaging = source_of(job, path, copy, printed), optics.Imaging.of(job.design)
+    numerics = replace(EXACT, filter_fwhm_nm=filter_fwhm_nm(job.design), vectorial=job.design.verify.vectorial)
+    pair = camera.exact_psf(scene, source, imaging, numerics, work=Work(progress=job.work.progress))
+    return _stating(pair, made_error)
+
+
+def save_psf(
+    job: Job,
+    psf: Psf,
+    mask_path: Path | None,
+    path: Path,
+    copy: int = 1,
+    printed: Printed | None = None,
+    sizes: Path | None = None,
+) -> None:
+    """Write a PSF pair with the fingerprint of its mask (None for target phases) and of the design."""
+    from metafab import optics
+
+    design = job.design
+    source = design.phase if mask_path is None else [file_sha256(mask_path), file_sha256(library_path(job)), copy]
+    if printed is not None:
+        source = [source, printed, design.process]
+    if sizes is not None:
+        source = [source, file_sha256(sizes)]
+    sampling: list[Any] = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
+    if design.optics is not None:
+        sampling += [design.optics, contents_sha256(design.optics)]
+    if design.substrate is not None:
+        sampling.append(design.substrate)
+    if job.nominal is not None:
+        sampling.append(design.wavelength_um)
+    if job.light is not None and job.light.angles_deg:
+        sampling.append(job.light.angles_deg)
+    optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, sampling))
+
+
+def filter_fwhm_nm(design: Design) -> float | None:
+    """Width of the colour filter in front of the sensor; None for one wavelength."""
+    return None if design.optics is None else design.optics.filter_fwhm_nm
+
+
+def _stating(psf: Psf, made_error: float) -> Psf:
+    """The PSFs with the error of their pillars' amplitudes."""
+    return replace(psf, details=replace(psf.details, made_error=made_error))
+
+
+def _psf_error(job: Job) -> float:
+    """Target error of PSFs; without savings, blocks and depths are those of a lower one."""
+    return job.design.verify.target_error * (1.0 if job.skips else UNSKIPPED_SHARE)
+
+
+def _verified_psf(job: Job) -> Callable[..., Psf]:
+    """PSF computation with the window and the target error of the design's ``[verify]``."""
+    from metafab import optics
+
+    verify = job.design.verify
+    return partial(
+        optics.psf,
+        imaging=optics.Imaging.of(job.design),
+        numerics=optics.PsfNumerics(
+            window_px=verify.window_px,
+            target_error=_psf_error(job),
+            filter_fwhm_nm=filter_fwhm_nm(job.design),
+            vectorial=verify.vectorial,
+        ),
+        work=job.work,
+    )
+
+
+def _calibration(job: Job, source: Source) -> Psf:
+    from metafab import optics
+
+    imaging = optics.Imaging.of(job.design)
+    return _verified_psf(job)(
+        source,
+        depths_m=calibration_depths(job.design, imaging, _psf_error(job)),
+        field_tangents=optics.field_tangents(job.design, imaging),
+    )
+
+
+def _depth_interpolation_error(written: Psf, verified: NDArray[np.bool_]) -> float | None:
+    """Relative L2 error at the verified depths of PSFs interpolated from the other depths."""
+    from metafab import optics
+    from metafab.optics.interpolation import without_depths
+
+    others = written.depth_m[~verified]
+    between = verified & (written.depth_m > others.min(initial=math.inf)) & (written.depth_m < others.max(initial=0.0))
+    if not between.any():
+        return None
+    interpolated = optics.at_depths(without_depths(written, verified), written.depth_m[between])
+    return optics.relative_l2(interpolated, written.psf[:, between])
+
+
+def _psf_files(job: Job) -> tuple[Path, ...]:
+    """Files of the step; without a mask, the pair of the target phases is the only one."""
+    return in_folder("psf.h5", *(("ideal_psf.h5",) if job.design.has_mask else ()))(job)
+
+
+def _psf(job: Job) -> PsfFigures:
+    from metafab.optics import Imaging, NeighbourField
+    from metafab.optics.measures.landing import light_elsewhere
+
+    design, psf_of = job.design, _verified_psf(job)
+    ideal_light = lit_source(job, ideal_source(job))
+    mask_path = mask_paths(job)[-1] if design.has_mask else None
+    pillars = None if mask_path is None else written_light(job, mask_path)
+    source = ideal_light if pillars is None else lit_source(job, pillars)
+    written = _calibration(job, source)
+    save_psf(job, written, mask_path, job.folder / "psf.h5")
+    ideal = None
+    if design.has_mask:
+        ideal = psf_of(ideal_light, depths_m=design.verify.depths_m)
+        save_psf(job, ideal, None, job.folder / "ideal_psf.h5")
+    verified = np.isin(written.depth_m, design.verify.depths_m)
+    figures = PsfFigures.compared(
+        written,
+        ideal,
+        verified=verified,
+        depth_interpolation_error=_depth_interpolation_error(written, verified),
+        light_at_um=light_elsewhere(source, Imaging.of(design), written),
+    )
+    return replace(
+        figures,
+        with_neighbours=isinstance(pillars, NeighbourField) or None,
+        oblique_error=None if pillars is None else _oblique_error(job, pillars.pillars),
+    )
+
+
+def _oblique_error(job: Job, pillars: PillarMap) -> float | None:
+    """Change of the pillars' light from the corner of the field; None without a field."""
+    from metafab.library.use.oblique_error import oblique_field_error
+    from metafab.optics.geometry.imaging import Imaging, field_corner
+
+    corner = field_corner(job.design, Imaging.of(job.design))
+    if corner is None:
+        return None
+    return oblique_field_error(open_library(job), pillars.size_nm(), pillars.numbers(), corner)
+
+
+PSF = Step(
+    name="psf",
+    rooms=("cell", "library", "mask", "optics"),
+    after=("library", "phase", "layout"),
+    inputs=lambda d: (d.sensor, d.verify, d.scene and d.scene.field_px, d.depths_m, d.optics, d.substrate, d.has_mask),
+    outputs=_psf_files,
+    work=_psf,
+    figures=PsfFigures,
+)

@@ -1,0 +1,120 @@
+"""Light behind the pillars: of the written mask, of made or measured pillars, and of the target phases.
+
+In all functions ``path`` is a mask file and ``copy`` the number of the lens in a file that holds several, from 1.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from metafab.core.storage.files import fingerprint
+from metafab.core.storage.latest import Latest, file_mark
+from metafab.steps.exposure import Printed, made_mask
+from metafab.steps.job import Job
+from metafab.steps.library import library_path, open_library
+
+if TYPE_CHECKING:
+    from metafab.layout import PillarMap
+    from metafab.optics import NeighbourField, Source, WrittenField
+
+#: The pillars that were read last, shared by the steps of a run.
+_READ: Latest[PillarMap] = Latest()
+#: Their field among neighbours, solved once for all steps of a run.
+_AMONG: Latest[NeighbourField] = Latest()
+
+
+def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) -> WrittenField:
+    """Transmitted field of the pillars of a written file.
+
+    Consecutive steps share the pillars as long as file and design are unchanged. ``angles`` is the number of angles of
+    turned pillars in half a turn; None for upright pillars. InputError if the file cannot be read, or holds shapes that
+    are no pillars of the lattice.
+    """
+    from metafab import optics
+
+    if path.is_file():
+        key = _pillars_key(job, path, copy, angles)
+        pillars = _READ.of(key, lambda: _read_pillars(job, path, copy, angles))
+    else:
+        pillars = _read_pillars(job, path, copy, angles)
+    return optics.written_field(pillars, open_library(job))
+
+
+def written_light(job: Job, path: Path, copy: int = 1) -> WrittenField | NeighbourField:
+    """Transmitted field of the pillars of a written file, among their neighbours if design and library say so.
+
+    ``[optics] neighbours`` decides; without it, the library's model is used if it has one that lowers the error. Errors
+    as :func:`mask_source`; the design asks for neighbours that the library has no model of.
+    """
+    from metafab import optics
+
+    lone = mask_source(job, path, copy)
+    asked, library = job.design.optics and job.design.optics.neighbours, open_library(job)
+    pays = library.neighbours is not None and library.neighbours.pays
+    if asked is False or (asked is None and not pays):
+        return lone
+    if job.nominal is not None:  # a library evaluated at another wavelength or angle, which no file holds
+        return optics.neighbour_field(lone.pillars, library, job.work.workers)
+    key = _pillars_key(job, path, copy, None), file_mark(library_path(job))
+    return _AMONG.of(key, lambda: optics.neighbour_field(lone.pillars, library, job.work.workers))
+
+
+def ideal_source(job: Job) -> Source:
+    """Transmitted field of the target phases, without a mask."""
+    from metafab import layout, optics
+
+    design = job.design
+    lattice = layout.lattice_of(design) if design.has_mask else layout.sampling_lattice(job.profile, design)
+    return optics.ideal_field(job.profile, lattice, design.device)
+
+
+def lit_source(job: Job, source: Source) -> Source:
+    """Apply the stop and the apodisation of the design to a source."""
+    from metafab import optics
+
+    return optics.apodised(source, optics.Apodisation.of(job.design))
+
+
+def source_of(
+    job: Job, path: Path | None, copy: int, printed: Printed | None, sizes: Path | None = None
+) -> tuple[Source, float]:
+    """Pillars and their light; relative error of the amplitudes of made pillars, NaN for others."""
+    if path is None:
+        return lit_source(job, ideal_source(job)), math.nan
+    if sizes is not None:
+        return lit_source(job, _measured_field(job, path, copy, sizes)), math.nan
+    if printed is None:
+        return lit_source(job, written_light(job, path, copy)), math.nan
+    made = made_mask(job, path, printed, copy).field
+    return lit_source(job, made.field), made.error
+
+
+def _measured_field(job: Job, path: Path, copy: int, sizes: Path) -> WrittenField:
+    """Field of the pillars of a file with measured sizes."""
+    from metafab.optics.sources.measured import with_measured_sizes
+    from metafab.optics.sources.source import made_field
+
+    library = open_library(job)
+    return made_field(with_measured_sizes(mask_source(job, path, copy).pillars, sizes, library), library)
+
+
+def _pillars_key(job: Job, path: Path, copy: int, angles: int | None) -> Hashable:
+    """Key of the pillars of a written file: file, design, number of the lens, and angles of turned pillars."""
+    return file_mark(path), fingerprint(job.design), copy, angles
+
+
+def _read_pillars(job: Job, path: Path, copy: int, angles: int | None) -> PillarMap:
+    """Pillars of a file, without the bias with which they are drawn."""
+    from metafab import mask
+    from metafab.mask.turned import read_turned
+
+    progress = job.work.progress
+    if angles is None:
+        back = mask.read_shared(path, job.design, progress, copy)
+    else:
+        back = read_turned(path, job.design, angles, progress=progress, copy=copy)
+    back.require_pillars_alone("their light cannot be simulated; `metafab drc` lists their places")
+    return mask.biased(back.pillars, -job.design.mask.bias_nm)
