@@ -408,9 +408,8 @@ class OrdersFigures:
     coupling_error: float | None = optional()  #: Relative L2 error of the library's field.
     #: Of a steep lens: light in the wanted order of its rows by full wave, over that by the library.
     efficiency_ratio: float | None = optional()
-    orders: tuple[
-        OrderFigures, ...
-    ] = ()  #: Orders of 3 % of the light or more, brightest first, x then y polarisation.
+    #: Orders of 3 % of the light or more, brightest first, x then y polarisation.
+    orders: tuple[OrderFigures, ...] = ()
 
     def wanted(self, polarisation: str) -> tuple[float, float, float]:
         """Efficiency, error and the library's efficiency, summed over the wanted orders of a polarisation."""

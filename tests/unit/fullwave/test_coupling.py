@@ -17,7 +17,7 @@ from metafab.layout import Lattice, PillarMap
 from metafab.library import Library
 from metafab.spec import load_design, write_new
 from metafab.spec.new import NewLens
-from metafab.steps.merit import ORDERS
+from metafab.steps.orders import ORDERS
 from tests.fake_meep import UncoupledPillars, response
 from tests.unit.fullwave.conftest import QUICK
 

@@ -91,7 +91,10 @@ def test_a_table_that_is_shifted_is_refused_with_its_shift(
     """Periods of 350 nm: by 0.44 of one, 0.71 and 0.57 of one, and by a whole one."""
     index = np.random.default_rng(3).integers(1, 3, (10, 12)).astype(np.uint16)
     drawn = PillarMap.from_array(
-        Lattice((700, 700), (10, 12), 0.5), np.array([[0, 0], [240, 320], [360, 280]], dtype=np.int32), index, 64
+        Lattice(period_dbu=(700, 700), shape=(10, 12), database_unit_nm=0.5),
+        np.array([[0, 0], [240, 320], [360, 280]], dtype=np.int32),
+        index,
+        64,
     )
     x_um, y_um = drawn.lattice.x_um(), drawn.lattice.y_um()
     rows = [(x, y, *_at(drawn, j, i)) for j, y in enumerate(y_um) for i, x in enumerate(x_um)][13:-13]
