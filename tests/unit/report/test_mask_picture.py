@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,7 +42,7 @@ def test_mask_zoom_shows_the_pillars_of_the_map(tile_sites: int) -> None:
 def test_big_lenses_are_binned() -> None:
     """More sites than pixels: blocks of sites share a pixel, and a full lattice is covered evenly."""
     whole = pillar_map()
-    lattice = type(whole.lattice)(whole.lattice.period_dbu, (401, 801), whole.lattice.database_unit_nm)
+    lattice = replace(whole.lattice, shape=(401, 801))
     pillars = PillarMap.from_array(lattice, whole.size_dbu, np.ones(lattice.shape, dtype=np.uint16), 286)
     picture = picture_of(pillars)
     assert picture.sites_a_pixel == 3
