@@ -3,7 +3,8 @@
 The field behind the pillars is cut into blocks. The Fourier transform of a block gives its plane waves; each of them is
 a ray from the block to the sensor. Blocks of the side sqrt(wavelength x distance), a Fresnel zone, spread the light by
 their side and by their diffraction alike, which is the resolution of the map. Bins of one beam land at one point: the
-direction of each is the step of its phase to the block one site on (frequency reassignment, Auger and Flandrin 1995).
+direction of each follows from its phase steps to the blocks one pillar on (frequency reassignment, Auger and Flandrin
+1995).
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.layout.pillars import Lattice
 from metafab.optics.geometry.imaging import Imaging, Tangent
 from metafab.optics.geometry.path import Ray, path_um
 from metafab.optics.point_spread import Psf
@@ -112,7 +114,7 @@ def _landings(
             y = y_um[tile.row + top : tile.row + top + block.shape[0]]
             # The incident wave: the path to the sensor point is the same for the whole wave and drops out.
             incident = np.exp(1j * k * _incident_um(x[None, :], y[:, None], ray))
-            cosines, power = _plane_waves(block * incident, sites, imaging.wavelength_um / np.array(pitch))
+            cosines, power = _plane_waves(block * incident, sites, imaging.wavelength_um / np.array(pitch), lattice)
             along = np.sqrt(np.maximum(0.0, 1.0 - (cosines**2).sum(axis=0)))
             lit = along > 1.0 / _REACH
             if lit.any():
@@ -120,18 +122,30 @@ def _landings(
                 yield x.mean() + shift_x, y.mean() + shift_y, power[lit]
 
 
-def _plane_waves(block: ComplexArray, sites: int, steepest: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _plane_waves(
+    block: ComplexArray, sites: int, steepest: FloatArray, lattice: Lattice
+) -> tuple[FloatArray, FloatArray]:
     """Direction cosines along x and y, shape (2, n, n), and powers, shape (n, n), of the plane waves of a block.
 
     ``steepest`` is the wavelength over the pitch along x and y, the cosine of a phase of 2 pi a site.
     """
+    (rows, columns), pairs = lattice.reach, lattice.pairs[:2]
     # A single row has no step to the next one: it counts as even along y.
-    block = np.pad(block, [(0, max(0, 2 - count)) for count in block.shape], mode="edge")
-    corners = np.stack([block[:-1, :-1], block[:-1, 1:], block[1:, :-1]])
+    least = 1 + rows, 1 + columns
+    block = np.pad(block, [(0, max(0, n - count)) for n, count in zip(least, block.shape, strict=True)], mode="edge")
+    n_y, n_x = block.shape[0] - rows, block.shape[1] - columns
+    near = np.stack([block[down : down + n_y, right : right + n_x] for down, right in ((0, 0), *pairs)])
     # The same sites of all three, or the outline of the aperture would count as a step.
-    here, *steps = np.fft.fft2(corners * (corners != 0.0).all(axis=0), (sites, sites))
-    cosines = [turn * np.angle(step * here.conj()) for turn, step in zip(steepest / (2.0 * np.pi), steps, strict=True)]
-    return np.array(cosines), np.abs(here) ** 2
+    here, *steps = np.fft.fft2(near * (near != 0.0).all(axis=0), (sites, sites))
+    turns, scale = np.angle(np.array(steps) * here.conj()) / (2.0 * np.pi), steepest[:, None, None]
+    if lattice.hexagonal:  # steps to the second site along x, and to the first along both
+        turns[0] *= 0.5
+        turns[1] -= turns[0]
+        turns[1] -= np.rint(turns[1])
+        # Half a turn along both changes nothing at the sites with pillars: the flatter of both waves.
+        other = turns - np.copysign(0.5, turns)
+        turns = np.where(((scale * other) ** 2).sum(axis=0) < ((scale * turns) ** 2).sum(axis=0), other, turns)
+    return scale * turns, np.abs(here) ** 2
 
 
 def _corners(amplitude: NDArray[np.complexfloating], sites: int, every: int) -> list[tuple[int, int]]:

@@ -11,6 +11,8 @@ import pytest
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.layout.pillars import Lattice
+from metafab.optics.measures.landing import _plane_waves
 from metafab.spec import Design, load_design, write_new
 from metafab.spec.terms import Grating, UserArray, Zernike
 from metafab.steps.job import Job
@@ -87,6 +89,19 @@ def test_a_steep_beam_lands_at_the_tangent_of_its_angle(tmp_path: Path, angle_de
     assert figures.light_at_um is not None
     expected = (SENSOR_UM * math.tan(math.radians(angle_deg)), 0.0)
     assert figures.light_at_um[0] == pytest.approx(expected, abs=0.01)
+
+
+@pytest.mark.parametrize("cosines", [(0.3, -0.2), (0.85, 0.1), (0.1, 0.9)])
+def test_beams_of_a_hexagonal_lattice_keep_their_direction(cosines: tuple[float, float]) -> None:
+    """Its grid carries a pillar at every other site, so that no pillar has one beside it on the grid."""
+    lattice = Lattice(period_dbu=(200, 346), shape=(32, 32), database_unit_nm=1.0, hexagonal=True)
+    slope_x, slope_y = 2.0 * np.pi / 0.66 * np.array(cosines)
+    field = np.exp(1j * (slope_x * lattice.x_um() + slope_y * lattice.y_um()[:, None]))
+    field *= lattice.carries(np.arange(32), np.arange(32))
+    found, power = _plane_waves(field, 32, 0.66 / np.array([0.2, 0.346]), lattice)
+    bright = power > 1e-3 * power.max()
+    assert bright.any()
+    np.testing.assert_allclose(found[:, bright].T, np.broadcast_to(cosines, (bright.sum(), 2)), atol=1e-9)
 
 
 @pytest.mark.parametrize("amplitude_rad", [None, 30.0])
