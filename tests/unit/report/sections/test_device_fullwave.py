@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,12 @@ def test_rows_are_shown_if_they_are_of_this_mask(tmp_path: Path) -> None:
     text = report.write(tmp_path).read_text(encoding="utf-8")
     for cell in ("600, -20 along x", "rcwa", "21", "0.812", "0.934", "0.125"):
         assert cell in text
+    # Rows of an earlier mask, beside those that the run solved for this one.
+    fullwave.save_coupling(fullwave.Coupling("abc", (row,)), tmp_path / "orders.json")
+    earlier = replace(row, x_um=500.0, coupling_error=0.3)
+    fullwave.save_coupling(fullwave.Coupling("before", (earlier,)), tmp_path / "coupling.json")
+    text = report.write(tmp_path).read_text(encoding="utf-8")
+    assert "600, -20 along x" in text and "500, -20 along x" not in text
 
 
 def test_a_damaged_patch_leaves_the_page_whole(tmp_path: Path) -> None:
@@ -103,5 +110,7 @@ def test_orders_by_full_wave_stand_first_and_in_a_table(tmp_path: Path) -> None:
     head = text.split('id="fullwave"')[0]
     assert "79 · 89" in head and "each pillar among its like: 91 · 91" in head
     assert "repeat after 13 x 1" in text and "-10.02°, 0.00°" in text and "0.787" in text
+    unsure = replace(solved, orders=tuple(replace(row, error=0.12) for row in rows))
+    assert unsure.sentence.startswith("78.7 ± 10 % of x, 89.0 ± 10 % of y polarised light")
     RunSummary(orders=OrdersFigures(reason="no repeat")).save(tmp_path / "summary.json")
     assert "known by the library alone: no repeat" in report.write(tmp_path).read_text(encoding="utf-8")
