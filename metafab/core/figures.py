@@ -408,7 +408,7 @@ class OrdersFigures:
     coupling_error: float | None = optional()  #: Relative L2 error of the library's field.
     #: Of a steep lens: light in the wanted order of its rows by full wave, over that by the library.
     efficiency_ratio: float | None = optional()
-    #: Orders of 3 % of the light or more, brightest first, x then y polarisation.
+    #: Wanted orders, and all others of 3 % of the light or more, brightest first, x then y polarisation.
     orders: tuple[OrderFigures, ...] = ()
 
     def wanted(self, polarisation: str) -> tuple[float, float, float]:
@@ -436,7 +436,9 @@ class OrdersFigures:
         if self.sites is None:
             return f"by the library alone: {self.reason}"
         shares = [self.wanted(p) for p in ("x", "y")]
-        text = ", ".join(f"{100 * e:.1f} ± {100 * d:.1g} % of {p}" for p, (e, d, _) in zip("xy", shares, strict=True))
+        text = ", ".join(
+            f"{100 * e:.1f} ± {float(f'{100 * d:.1g}'):g} % of {p}" for p, (e, d, _) in zip("xy", shares, strict=True)
+        )
         library = ", ".join(f"{100 * of_library:.1f}" for _, _, of_library in shares)
         return (
             f"{text} polarised light, by full wave of {self.sites[0]} x {self.sites[1]} pillars (library {library} %)"

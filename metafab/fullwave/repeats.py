@@ -43,7 +43,8 @@ _LIMIT_S, _PER_CUBE_S = 60.0, 2.5e-9
 #: differed by up to 0.13 of the change from 2 to 3.
 _RESOLUTIONS, _CURVED_RESOLUTIONS = (2.0, 3.0), (3.0, 4.0)
 _SHARE, _SHARE_CURVED, _FLOOR = 0.5, 2.0, 0.01
-#: Smallest efficiency of an order that is listed; share of the brightest from which the library's orders are wanted.
+#: Smallest efficiency of an unwanted order that is listed; share of the brightest from which the library's orders are
+#: wanted.
 _LISTED, _WANTED = 0.03, 0.5
 
 
@@ -227,8 +228,9 @@ def _figures(
     for p, light in enumerate(POLARISATIONS):
         turns = order + np.array([drift[0][p], drift[1][p]])
         sines = turns * one.cell.wavelength_nm / (1e3 * np.array(one.period_um) * one.cell.n_out[p].real)
+        wanted = by_library[p] >= _WANTED * by_library[p].max()
         for i in np.argsort(-mean[p]):
-            if max(mean[p, i], by_library[p, i]) < _LISTED:
+            if max(mean[p, i], by_library[p, i]) < _LISTED and not wanted[i]:
                 continue
             along = np.degrees(np.arcsin(np.clip(sines[i], -1.0, 1.0)))
             rows.append(
@@ -240,7 +242,7 @@ def _figures(
                     efficiency=float(mean[p, i]),
                     library_efficiency=float(by_library[p, i]),
                     error=float(truncation[p, i] + spread[p, i]),
-                    wanted=bool(by_library[p, i] >= _WANTED * by_library[p].max()),
+                    wanted=bool(wanted[i]),
                 )
             )
     n_y, n_x = one.shape

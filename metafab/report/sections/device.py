@@ -193,8 +193,7 @@ def _printed(name: str, errors: SizeErrors) -> list[str]:
 
 def fullwave(run: RunFolder, drawn: Drawn) -> str:
     """Full-wave simulations of repeats, of rows and of a patch of the mask; empty without any."""
-    # The summary holds their figures only if they belong to this mask.
-    rows = _rows(run.coupling) if run.coupling is not None and run.summary.coupling is not None else ""
+    rows = "" if run.coupling is None else _rows(run.coupling)
     patch = _patch(run.patch, drawn) if run.patch is not None else ""
     orders = "" if run.summary.orders is None else _orders(run.summary.orders, run.summary.seconds.get("orders", 0.0))
     if not rows and not patch and not orders:
@@ -222,9 +221,9 @@ def _orders(figures: OrdersFigures, seconds: float) -> str:
         for row in figures.orders
     ]
     caption = (
-        f"The pillars of the mask repeat after {figures.sites[0]} x {figures.sites[1]}. Light in each order from 3 % "
-        f"on, far from the rim: mean of {figures.windows} unlike repeats by full wave with periodic boundaries "
-        f"({seconds:.0f} s). The error is that of the solver and of the repeats that were not solved. "
+        f"The pillars of the mask repeat after {figures.sites[0]} x {figures.sites[1]}. Light in each wanted order and "
+        f"in others from 3 % on, far from the rim: mean of {figures.windows} unlike repeats by full wave with periodic "
+        f"boundaries ({seconds:.0f} s). The error is that of the solver and of the repeats that were not solved. "
         "The library takes each pillar among its like, as the PSFs do."
     )
     return html.table(head, rows, ["", "", "n", "n", "n", "n", ""]) + html.paragraph(escape(caption), "caption")

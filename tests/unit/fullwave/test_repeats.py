@@ -76,6 +76,19 @@ def test_the_orders_of_a_repeat_are_those_of_the_periodic_row(pillars: PillarMap
     assert f"by full wave of {PERIOD_SITES} x 1 pillars" in found.sentence
 
 
+def test_wanted_orders_are_listed_and_summed_however_faint(
+    pillars: PillarMap, ramp_library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A splitter into many orders has none of 3 %; here the least that is listed is raised instead."""
+    monkeypatch.setattr(repeats, "_LISTED", 0.99)
+    found = measure_orders(pillars, ramp_library)
+    assert [(row.polarisation, row.order, row.wanted) for row in found.orders] == [
+        ("x", (1, 0), True),
+        ("y", (-1, 0), True),
+    ]
+    assert found.wanted("x")[2] == pytest.approx(0.81 / 1.7601, rel=1e-3)
+
+
 def test_what_is_not_solved_says_why(pillars: PillarMap, ramp_library: Library) -> None:
     for changed, limit_s, why in (
         (pillars, 1e-3, "processor time"),
