@@ -51,7 +51,7 @@ def angles_of_waves(
         slope_rad: largest slope of the phase of any wave along y, rad per unit of y.
     """
     panels = 2 ** math.ceil(math.log2(max(slope_rad, _FEWEST_PANELS)))
-    places, first, basis = _interpolation(np.ascontiguousarray(y).tobytes(), panels)
+    places, first, basis = _interpolation(np.asarray(y, dtype=np.float64).tobytes(), panels)
     sums = along_y(places) @ weighted_x.T
     out = np.empty((y.size, len(weighted_x)))
     real, imag = np.ascontiguousarray(sums.real), np.ascontiguousarray(sums.imag)

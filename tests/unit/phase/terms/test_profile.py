@@ -65,6 +65,12 @@ def test_terms_are_finite_everywhere_frozen_and_travel_between_processes(term: T
         term.polarisation = "x"  # type: ignore[attr-defined, misc]
 
 
+def test_places_in_single_precision_give_the_phases_of_the_same_places() -> None:
+    x_um, y_um = X_UM.astype(np.float32), np.linspace(-64.0, 64.0, 17, dtype=np.float32)
+    single, double = (WAVES(x_um.astype(kind), y_um.astype(kind), "x") for kind in (np.float32, np.float64))
+    np.testing.assert_allclose(wrap_phase(single - double), 0.0, atol=1e-5)
+
+
 @pytest.mark.parametrize("term", TERMS, ids=lambda term: type(term).__name__)
 def test_a_tile_is_a_cut_of_the_whole(term: Term) -> None:
     whole = term(X_UM, Y_UM, "y")
