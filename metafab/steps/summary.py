@@ -86,7 +86,8 @@ class RunSummary:
     skipped: tuple[SkippedStep, ...] = ()  #: Steps that this run skipped.
     saved: tuple[Saving, ...] = ()  #: Work that the steps left out, in the order of the pipeline.
     versions: dict[str, str] = field(default_factory=dict)  #: Versions of metafab, Python and the libraries.
-    coupling: CouplingFigures | None = None  #: Figures of ``metafab coupling``; None where it was not run on this mask.
+    #: Figures of the rows that ``metafab coupling`` or the step ``orders`` solved for this mask; None without any.
+    coupling: CouplingFigures | None = None
     error_budget: tuple[BudgetLine, ...] = ()  #: Sources of error, in the order of the pipeline.
     #: Time of the last change of each file when its step had written it, by its name in ``steps.json``.
     modified_ns: dict[str, int] = field(default_factory=dict)
