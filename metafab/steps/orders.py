@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,8 @@ from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
 from metafab.steps.optics.sources import mask_source
 
-#: Numerical aperture from which a run solves rows of a lens: a turn of its phase at the rim takes two to four pillars.
+#: Numerical aperture for collimated light from which a run solves rows of a lens: a turn of its phase at the rim takes
+#: two to four pillars.
 _STEEP = 0.5
 #: File of the orders, and its kind.
 _FILE, _KIND = "orders.json", "metafab orders"
@@ -102,9 +104,9 @@ def _focuses(design: Design) -> bool:
 
 
 def _has_no_orders(design: Design) -> str | None:
-    from metafab.optics import Imaging
-
-    if (reason := no_mask(design)) or not _focuses(design) or Imaging.of(design).numerical_aperture >= _STEEP:
+    half_mm = 0.5e-3 * design.device.aperture_um
+    is_steep = half_mm / math.hypot(half_mm, design.device.focal_length_mm) >= _STEEP
+    if (reason := no_mask(design)) or not _focuses(design) or is_steep:
         return reason
     return "the design focuses light: its pillars do not repeat"
 
