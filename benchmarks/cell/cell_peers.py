@@ -232,9 +232,7 @@ def nannos() -> Peer:
 
     def run(pillar: Pillar, rung: int) -> Answer:
         epsilon = pillar.raster()
-        lattice = package.Lattice(
-            period_dbu=([pillar.period_nm, 0.0], [0.0, pillar.period_nm]), discretization=epsilon.shape
-        )
+        lattice = package.Lattice(([pillar.period_nm, 0.0], [0.0, pillar.period_nm]), discretization=epsilon.shape)
         layer = lattice.Layer("Pillar", thickness=pillar.height_nm)
         layer.epsilon = epsilon
         layer.tangent_field = list(pillar.normal_field())

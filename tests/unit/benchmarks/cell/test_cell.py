@@ -102,8 +102,9 @@ def test_answers_become_errors_and_ratios(
 def test_installed_peers_share_our_conventions(benchmark: dict[str, Any], name: str) -> None:
     """A film that fills the cell: every code is exact, and ours equals the closed form."""
     answers, complaint = benchmark["ask_peer"](name, [FILM], 0.0)
-    if not answers:
+    if "No module named" in complaint:
         pytest.skip(f"{name}: {complaint}")
+    assert answers, complaint
     t = np.array(answers[0]["t"])[0]
     # torcwa shifts its wave numbers by some 1e-9 against singular matrices.
     np.testing.assert_allclose(t[:, 0] + 1j * t[:, 1], np.diag(zero_order(FILM, 2).t), atol=1e-7)
