@@ -102,7 +102,7 @@ def measure_coupling(
     result. ``pool`` holds the workers of Meep; by default it lives as long as this process.
 
     Raises:
-        InputError: a place is off the lens, or its local period is too long.
+        InputError: a place is off the lens, or its local period is too long, or too short for its order to propagate.
         MissingToolError: Meep is requested but not installed.
         SolverError: Meep failed.
     """
@@ -113,6 +113,11 @@ def measure_coupling(
         sites, order = local_period_sites(line)
         shape = (1, sites) if axis == "x" else (sites, 1)
         supercell = supercell_at(pillars, library, x, y, shape)[0]
+        wanted = (order, 0) if axis == "x" else (0, order)
+        if not np.any(np.all(supercell.propagating_orders(light) == wanted, axis=1)):
+            # A local period between whole sites: the shorter row sends no light into the order.
+            expected, got = "a row longer than a wavelength behind the pillars", f"{sites} sites"
+            raise InputError.single("coupling", "place", expected, got, "choose a point nearer to the axis")
         if solver == "meep":
             answer = solve_supercell(supercell, light, numerics.meep, pool, progress)
         else:

@@ -12,6 +12,7 @@ import pytest
 
 from metafab import fullwave
 from metafab.cell.elements import ElementNumerics
+from metafab.core.errors import InputError
 from metafab.fullwave.coupling import CouplingNumerics, CouplingRow
 from metafab.layout import Lattice, PillarMap
 from metafab.library import Library
@@ -80,6 +81,15 @@ def test_rows_along_y_are_the_same_rows_turned(pillars: PillarMap, ramp_library:
     assert along_y.efficiency == pytest.approx(along_x.efficiency, rel=1e-9)
     assert along_y.coupling_error == pytest.approx(along_x.coupling_error, rel=1e-9)
     assert along_x.coupling_error > 1e-3
+
+
+def test_a_row_that_is_too_short_for_its_order_is_refused(pillars: PillarMap, ramp_library: Library) -> None:
+    """Half a turn from site to site: 700 nm at a wavelength of 800 nm, as of 2.4 sites beyond NA 0.93."""
+    index = np.where(np.arange(80) % 2 == 0, 1, 2).astype(np.uint16)
+    sizes = np.array([[0, 0], [220, 400], [360, 400]], dtype=np.int32)
+    steep = PillarMap.from_array(pillars.lattice, sizes, np.tile(index, (60, 1)), 16)
+    with pytest.raises(InputError, match=r"longer than a wavelength.*got 2 sites"):
+        fullwave.measure_coupling(steep, ramp_library, [(0.0, 0.0)], "mask")
 
 
 def test_rings_of_a_lens_have_a_row_each(
