@@ -16,10 +16,7 @@
 
 from metafab.core.figures import SegmentFigures as SegmentFigures
 from metafab.decode.camera_fit.pinhole import NOT_SEPARATED as NOT_SEPARATED
-from metafab.decode.camera_fit.pinhole import (
-    CameraFit,
-    calibrate,
-)
+from metafab.decode.camera_fit.pinhole import CameraFit, calibrate
 from metafab.decode.camera_fit.pinhole import read_depths as read_depths
 from metafab.decode.decoder import FAST, Decoder, DecoderNumerics, decode
 from metafab.decode.evaluation.bound import DepthBound

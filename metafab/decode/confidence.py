@@ -1,8 +1,8 @@
 """Confidence of a decoded depth: the one place that defines it.
 
 The confidence of a pixel is the probability that its depth is within 5 % of the truth: the probability that its segment
-is the right one, times that of noise staying within 5 %. Along an outline it holds the pixels of a downsampled pixel
-that lie across it.
+is the right one, times that of noise staying within 5 %. Along an outline it counts the frame pixels of a downsampled
+pixel that lie across it. Outlines between depths that are one within 5 % raise no doubt.
 
 A segment is doubted where the twins do not fit at its depth (misfit > 1), and near an outline, more so where they fit
 the depth across it no worse. The log odds of a wrong segment are linear in these measures. Their weights were fitted
@@ -54,6 +54,11 @@ def right_segment(misfit: Reals, misfit_across: Reals, outline_px: Reals) -> Flo
     return np.asarray(expit(-wrong))
 
 
+def differs(vergence_per_m: FloatArray, other_per_m: FloatArray) -> NDArray[np.bool_]:
+    """Whether a depth would be wrong where the other is right, for 1/depths of any one shape; False for NaN."""
+    return np.asarray(np.abs(vergence_per_m - other_per_m) > RIGHT_WITHIN * vergence_per_m)
+
+
 def same_side(vergence_per_m: FloatArray, step: int) -> FloatArray:
     """Probability that a frame pixel lies on its downsampled pixel's side of an outline: shape (n_y, n_x).
 
@@ -67,9 +72,9 @@ def same_side(vergence_per_m: FloatArray, step: int) -> FloatArray:
     """
     beside = np.zeros(vergence_per_m.shape, dtype=bool)
     for one, other in (((slice(1, None),), (slice(None, -1),)), ((..., slice(1, None)), (..., slice(None, -1)))):
-        differs = np.abs(vergence_per_m[one] - vergence_per_m[other]) > RIGHT_WITHIN * vergence_per_m[one]
-        beside[one] |= differs
-        beside[other] |= differs
+        unlike = differs(vergence_per_m[one], vergence_per_m[other])
+        beside[one] |= unlike
+        beside[other] |= unlike
     across = (1.0 - step % 2 / step**2) / 8.0
     return np.where(beside, 1.0 - across, 1.0)
 

@@ -18,7 +18,7 @@ from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance, nearest
-from metafab.decode.confidence import RIGHT_WITHIN
+from metafab.decode.confidence import differs
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
@@ -223,7 +223,7 @@ def across_outlines(
     Args:
         label: shape (n_y, n_x), number of each pixel's segment; 0 for none.
         vergence_per_m: shape (n_y, n_x), 1/depth of each pixel's segment. Where it is given, outlines between depths
-            that are one within ``RIGHT_WITHIN`` do not count: either depth is right there.
+            that do not differ (:func:`differs`) do not count: either depth is right there.
 
     Returns:
         Number of the other segment, 0 for none, and distance in pixels, inf without an outline: shapes (n_y, n_x).
@@ -232,7 +232,7 @@ def across_outlines(
     def differ(one: Any, other: Any) -> NDArray[np.bool_]:
         unlike: NDArray[np.bool_] = label[one] != label[other]
         if vergence_per_m is not None:
-            unlike &= np.abs(vergence_per_m[one] - vergence_per_m[other]) > RIGHT_WITHIN * vergence_per_m[one]
+            unlike &= differs(vergence_per_m[one], vergence_per_m[other])
         return unlike
 
     beside = np.zeros_like(label)
