@@ -30,9 +30,13 @@ window.faults = [];
 window.addEventListener("error", (event) => window.faults.push(event.message));
 window.addEventListener("unhandledrejection", (event) => window.faults.push(String(event.reason)));
 console.error = (...words) => window.faults.push(words.join(" "));
+// Virtual time does not wait for the frames of a busy machine, but it waits for timers.
+window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 16);
 window.addEventListener("load", () => setTimeout(async () => {
   const found = {};
   const psf = document.getElementById("psf-viewer");
+  const image = document.getElementById("image-viewer");
+  while (psf.hidden || image.hidden) await new Promise((done) => setTimeout(done, 10));
   const slider = psf.querySelector("input");
   const lit = () => [...psf.querySelectorAll("canvas")].map((canvas) => {
     const { data, width, height } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
@@ -52,7 +56,6 @@ window.addEventListener("load", () => setTimeout(async () => {
                  lit: lit() };
   psf.querySelectorAll(".choice button")[1].click();
   found.ideal = psf.querySelector(".readout").textContent;
-  const image = document.getElementById("image-viewer");
   const canvases = image.querySelectorAll("canvas");
   const box = canvases[3].getBoundingClientRect();
   // Pixel (45, 34) of 64 x 48 lies in the farther segment; rows count upwards.
@@ -72,7 +75,7 @@ window.addEventListener("load", () => setTimeout(async () => {
   };
   found.relief = [shape()];
   relief.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowRight" }));
-  await new Promise((done) => setTimeout(done, 500));
+  await new Promise((done) => setTimeout(done, 50));
   found.relief.push(shape());
   const light = (colour) => colour.match(/[\\d.]+/g).slice(0, 3).map((part) => part / 255)
     .map((part) => part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4)
@@ -120,7 +123,7 @@ def _browse(page: str, folder: Path, width: int, *, dark: bool) -> dict[str, Any
         CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
         "--disable-background-networking", "--disable-component-update", "--disable-sync",
         "--allow-file-access-from-files", f"--user-data-dir={folder / 'profile'}", "--window-size=1400,1000",
-        "--virtual-time-budget=8000", "--dump-dom", frame.as_uri(),
+        "--virtual-time-budget=20000", "--dump-dom", frame.as_uri(),
     ]  # fmt: skip
     if dark:
         command.insert(-2, "--blink-settings=preferredColorScheme=0")
