@@ -2,13 +2,13 @@
 
 A lane array is a flat float64 array. Its element k holds one complex number of each lane: ``LANES`` real parts, from
 place 2 ``LANES`` k on, and then the imaginary parts. Numba vectorises a loop only behind a test that its arrays do not
-overlap, and for short loops the tests take longer than the loops. The two operations here are therefore written as
-vector instructions. They run in kernels alone, on C-contiguous arrays, and check no bounds.
+overlap, and for short loops the tests take longer than the loops. The operations here are therefore written as vector
+instructions. They run in kernels alone, on C-contiguous arrays, and check no bounds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -28,6 +28,8 @@ ELEMENT = 2 * LANES
 #: Numba's helpers that write loops and variables; it types some of them.
 _CODE: Any = cgutils
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+#: Lets a processor that can do so round a product and a sum once.
+_FUSED = ("contract",)
 
 
 @compiled
@@ -79,33 +81,73 @@ def _operation(function: Callable[..., tuple[Any, Write]]) -> Callable[..., None
     return cast("Callable[..., None]", numba.extending.intrinsic(function))
 
 
-@_operation
-def subtract_products(
-    _: Any, c: Any, c_at: Any, c_step: Any, f: Any, f_at: Any, f_step: Any, x: Any, x_at: Any, x_step: Any, count: Any
-) -> tuple[Any, Write]:
-    """Subtract products of lanes: c[c_at + k c_step] -= f[f_at + k f_step] x[x_at + k x_step], k = 0 to ``count`` - 1.
+def _subtracts(fixed: int | None) -> Callable[..., None]:
+    """Subtraction of products f[f_at + k] x[x_at + k] from c[c_at + k], k = 0 to ``count`` - 1.
 
-    Elements of the lane arrays ``c``, ``f``, ``x``, one step after the other: with ``c_step`` 0 it is a scalar product.
+    ``fixed`` is the argument whose element does not move with k, 0 for c and 2 for f: it stays in registers. Arrays are
+    lane arrays, and places are elements.
     """
+
+    def operation(_: Any, c: Any, c_at: Any, f: Any, f_at: Any, x: Any, x_at: Any, count: Any) -> tuple[Any, Write]:
+        def write(*call: Any) -> None:
+            this = _Call(*call)
+            builder, arguments = this.builder, this.arguments
+
+            def parts(array: int, step: Any) -> list[Any]:
+                place = builder.mul(builder.add(arguments[array + 1], step), this.number(ELEMENT))
+                return [this.vector(array, place, offset) for offset in (0, LANES)]
+
+            def products(f: Sequence[Any], x: Sequence[Any], into: Sequence[Any]) -> None:
+                """Subtract one product of lanes."""
+                (f_re, f_im), (x_re, x_im), (c_re, c_im) = ((this.load(part) for part in each) for each in (f, x, into))
+                c_re = builder.fsub(c_re, builder.fmul(f_re, x_re, flags=_FUSED), flags=_FUSED)
+                c_re = builder.fadd(c_re, builder.fmul(f_im, x_im, flags=_FUSED), flags=_FUSED)
+                c_im = builder.fsub(c_im, builder.fmul(f_re, x_im, flags=_FUSED), flags=_FUSED)
+                c_im = builder.fsub(c_im, builder.fmul(f_im, x_re, flags=_FUSED), flags=_FUSED)
+                for part, value in zip(into, (c_re, c_im), strict=True):
+                    builder.store(value, part, align=8)
+
+            held = [] if fixed is None else [_CODE.alloca_once(builder, _VECTOR) for _ in range(2)]
+            outside = [] if fixed is None else parts(fixed, this.number(0))
+            for part, register in zip(outside, held, strict=True):
+                builder.store(this.load(part), register)
+            with _CODE.for_range(builder, arguments[6]) as loop:
+                into, f_parts, x_parts = (held if array == fixed else parts(array, loop.index) for array in (0, 2, 4))
+                products(f_parts, x_parts, into)
+            if fixed == 0:
+                for part, register in zip(outside, held, strict=True):
+                    builder.store(this.load(register), part, align=8)
+
+        return types.void(c, c_at, f, f_at, x, x_at, count), write
+
+    return _operation(operation)
+
+
+#: c[c_at + k] -= f[f_at + k] x[x_at + k].
+subtract_products = _subtracts(None)
+#: c[c_at + k] -= f[f_at] x[x_at + k].
+subtract_multiple = _subtracts(2)
+#: c[c_at] -= sum_k f[f_at + k] x[x_at + k].
+subtract_dot = _subtracts(0)
+
+
+@_operation
+def copy(_: Any, into: Any, first: Any, step: Any, values: Any, begin: Any, count: Any) -> tuple[Any, Write]:
+    """Write into[first + k step] = values[begin + k], k = 0 to ``count`` - 1, elements of lane arrays."""
 
     def write(*call: Any) -> None:
         this = _Call(*call)
         builder, arguments = this.builder, this.arguments
+        with _CODE.for_range(builder, arguments[5]) as loop:
+            to = builder.add(arguments[1], builder.mul(loop.index, arguments[2]))
+            places = (0, to), (3, builder.add(arguments[4], loop.index))
+            for offset in (0, LANES):
+                there, here = (
+                    this.vector(array, builder.mul(place, this.number(ELEMENT)), offset) for array, place in places
+                )
+                builder.store(this.load(here), there, align=8)
 
-        def parts(array: int, step: Any) -> list[Any]:
-            element = builder.add(arguments[array + 1], builder.mul(step, arguments[array + 2]))
-            place = builder.mul(element, this.number(ELEMENT))
-            return [this.vector(array, place, offset) for offset in (0, LANES)]
-
-        with _CODE.for_range(builder, arguments[9]) as loop:
-            into = parts(0, loop.index)
-            f_re, f_im, x_re, x_im = (this.load(part) for array in (3, 6) for part in parts(array, loop.index))
-            re = builder.fsub(builder.fmul(f_re, x_re), builder.fmul(f_im, x_im))
-            im = builder.fadd(builder.fmul(f_re, x_im), builder.fmul(f_im, x_re))
-            for part, product in zip(into, (re, im), strict=True):
-                builder.store(builder.fsub(this.load(part), product), part, align=8)
-
-    return types.void(c, c_at, c_step, f, f_at, f_step, x, x_at, x_step, count), write
+    return types.void(into, first, step, values, begin, count), write
 
 
 @_operation
@@ -135,7 +177,8 @@ def sum_terms(
                 place = builder.mul(builder.add(start, steps.index), this.number(2))
                 for offset, part in enumerate(sums):
                     factor = this.splat(this.load(this.address(2, place, offset)))
-                    builder.store(builder.fadd(builder.load(part), builder.fmul(factor, value)), part)
+                    product = builder.fmul(factor, value, flags=_FUSED)
+                    builder.store(builder.fadd(builder.load(part), product, flags=_FUSED), part)
             into = builder.mul(builder.add(arguments[1], rows.index), this.number(ELEMENT))
             for offset, part in enumerate(sums):
                 builder.store(builder.load(part), this.vector(0, into, offset * LANES), align=8)

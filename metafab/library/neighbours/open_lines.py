@@ -27,7 +27,16 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric.compiled import compiled
-from metafab.core.numeric.lanes import ELEMENT, LANES, lane_array, subtract_products, sum_terms
+from metafab.core.numeric.lanes import (
+    ELEMENT,
+    LANES,
+    copy,
+    lane_array,
+    subtract_dot,
+    subtract_multiple,
+    subtract_products,
+    sum_terms,
+)
 from metafab.library.neighbours.line import LineModel, paired
 from metafab.library.neighbours.solve import uniform_field, uniform_slopes
 
@@ -122,7 +131,7 @@ class _Chain(NamedTuple):
 
 
 class _Space(NamedTuple):
-    """Lane arrays of one group of lines. Arrays that :func:`subtract_products` adds to hold negated values."""
+    """Lane arrays of one group of lines. Arrays from which products are subtracted to add them hold negated values."""
 
     sides: int  #: Right sides: 1, or 2 with the adjoint one.
     inverse: FloatArray  #: -D_m^-1, upper triangle, modes x modes a site.
@@ -224,19 +233,19 @@ def _substitute_back(
             _multiply(space.inverse, m * modes * modes, space.source, at, amplitude, side * modes, modes)
         _load_terms(size_index, first, m, chain.terms, n_terms * (2 * space.sides - 1), space.at_site)
         sum_terms(here, own, chain.rows, own, space.at_site, 0, even + 2 * modes)
-        subtract_products(light, m + 1, 0, here, own, 1, amplitude, 0, 1, even)
-        subtract_products(light, m + 2, 0, here, own + even, 1, amplitude, 0, 1, modes)
-        subtract_products(light, m, 0, here, own + even + modes, 1, amplitude, 0, 1, modes)
+        subtract_dot(light, m + 1, here, own, amplitude, 0, even)
+        subtract_dot(light, m + 2, here, own + even, amplitude, 0, modes)
+        subtract_dot(light, m, here, own + even + modes, amplitude, 0, modes)
         for axis in range(2 * (space.sides - 1)):
             term = (1 + axis) * n_terms
             sum_terms(here, own - even, chain.rows, own - even, space.at_site, term, 2 * (even + modes))
             _place_matrix(work, 0, chain, space.at_site, term)
             _multiply(work, 0, amplitude, 0, work, behind, modes)
             _zero(work, slope, 1)
-            subtract_products(work, slope, 0, work, behind, 1, amplitude, modes, 1, modes)
-            subtract_products(work, slope, 0, here, own - even, 1, amplitude, modes, 1, even)
+            subtract_dot(work, slope, work, behind, amplitude, modes, modes)
+            subtract_dot(work, slope, here, own - even, amplitude, modes, even)
             _collect(work, behind, chain, space, m)
-            subtract_products(work, slope, 0, work, behind, 1, amplitude, 0, 1, modes)
+            subtract_dot(work, slope, work, behind, amplitude, 0, modes)
             for lane in range(min(LANES, lines - first)):
                 fixed = weight[first + lane, m] * uniform[size_index[first + lane, m], 1 + axis]
                 slopes[first + lane, m, axis] = -work[slope * ELEMENT + lane] - fixed.real
@@ -280,12 +289,6 @@ def _zero(values: FloatArray, first: int, count: int) -> None:
 
 
 @compiled
-def _move(into: FloatArray, first: int, values: FloatArray, begin: int, count: int) -> None:
-    for k in range(count * ELEMENT):
-        into[first * ELEMENT + k] = values[begin * ELEMENT + k]
-
-
-@compiled
 def _add(into: FloatArray, first: int, values: FloatArray, begin: int, count: int) -> None:
     for k in range(count * ELEMENT):
         into[first * ELEMENT + k] += values[begin * ELEMENT + k]
@@ -296,8 +299,8 @@ def _add_hopped(into: FloatArray, at: int, chain: _Chain, of: int, values: Float
     """Add W (``of`` 0) or W^T (``of`` modes) times ``values`` to the modes of a site."""
     even = chain.even
     _add(into, at, values, begin, chain.modes)
-    subtract_products(into, at, 1, chain.hop, of, 1, values, begin + even, 1, chain.pairs)
-    subtract_products(into, at + even, 1, chain.hop, of + even, 1, values, begin, 1, chain.pairs)
+    subtract_products(into, at, chain.hop, of, values, begin + even, chain.pairs)
+    subtract_products(into, at + even, chain.hop, of + even, values, begin, chain.pairs)
 
 
 @compiled
@@ -305,9 +308,9 @@ def _collect(into: FloatArray, at: int, chain: _Chain, space: _Space, m: int) ->
     """Light that each mode of site ``m`` adds to the weighted sum, from e, g and Pi g in ``space.here``."""
     even, modes, own = chain.even, chain.modes, chain.own
     _zero(into, at, modes)
-    subtract_products(into, at, 1, space.weight, m + 1, 0, space.here, own, 1, even)
-    subtract_products(into, at, 1, space.weight, m + 2, 0, space.here, own + even, 1, modes)
-    subtract_products(into, at, 1, space.weight, m, 0, space.here, own + even + modes, 1, modes)
+    subtract_multiple(into, at, space.weight, m + 1, space.here, own, even)
+    subtract_multiple(into, at, space.weight, m + 2, space.here, own + even, modes)
+    subtract_multiple(into, at, space.weight, m, space.here, own + even + modes, modes)
 
 
 @compiled
@@ -325,22 +328,22 @@ def _place_matrix(matrix: FloatArray, at: int, chain: _Chain, terms: FloatArray,
 def _add_previous(inverse: FloatArray, at: int, chain: _Chain, work: FloatArray) -> None:
     """Add -W D^-1 W^T of the site before to the upper triangle of a site's matrix."""
     even, modes, pairs, hop = chain.even, chain.modes, chain.pairs, chain.hop
-    square, before = modes * modes, at - modes * modes
+    before, old = at - modes * modes, modes * modes
     for i in range(modes):
-        _move(work, i * modes + i, inverse, before + i * modes + i, modes - i)
-        for j in range(i + 1, modes):
-            _move(work, j * modes + i, inverse, before + i * modes + j, 1)
+        diagonal = before + i * modes + i
+        copy(work, i * modes + i, 1, inverse, diagonal, modes - i)
+        copy(work, (i + 1) * modes + i, modes, inverse, diagonal + 1, modes - i - 1)
     # W times all of it, and then the upper triangle of that times W^T.
-    _move(work, square, work, 0, square)
     for k in range(pairs):
         even_row, odd_row = k * modes, (even + k) * modes
-        subtract_products(work, square + even_row, 1, hop, k, 0, work, odd_row, 1, modes)
-        subtract_products(work, square + odd_row, 1, hop, even + k, 0, work, even_row, 1, modes)
+        copy(work, old, 1, work, even_row, modes)
+        subtract_multiple(work, even_row, hop, k, work, odd_row, modes)
+        subtract_multiple(work, odd_row, hop, even + k, work, old, modes)
     for i in range(modes):
-        row, odd = square + i * modes, max(i, even)
+        row, odd = i * modes, max(i, even)
         _add(inverse, at + i * modes + i, work, row + i, modes - i)
-        subtract_products(inverse, at + i * modes + i, 1, hop, i, 1, work, row + even + i, 1, pairs - i)
-        subtract_products(inverse, at + i * modes + odd, 1, hop, odd, 1, work, row + odd - even, 1, even + pairs - odd)
+        subtract_products(inverse, at + i * modes + i, hop, i, work, row + even + i, pairs - i)
+        subtract_products(inverse, at + i * modes + odd, hop, odd, work, row + odd - even, even + pairs - odd)
 
 
 @compiled
@@ -353,21 +356,20 @@ def _invert(matrix: FloatArray, at: int, modes: int, work: FloatArray) -> None:
     for k in range(modes):
         pivot = at + k * modes + k
         for i in range(k):
-            _move(work, i, matrix, at + i * modes + k, 1)
-        _move(work, k, matrix, pivot, modes - k)
+            copy(work, i, 1, matrix, at + i * modes + k, 1)
+        copy(work, k, 1, matrix, pivot, modes - k)
         for lane in range(pivot * ELEMENT, pivot * ELEMENT + LANES):
             re, im = matrix[lane], matrix[lane + LANES]
             squared = re * re + im * im
             matrix[lane], matrix[lane + LANES] = -re / squared, im / squared
         _zero(work, modes, modes)
-        subtract_products(work, modes, 1, matrix, pivot, 0, work, 0, 1, modes)
-        _move(work, k, matrix, pivot, 1)
+        subtract_multiple(work, modes, matrix, pivot, work, 0, modes)
+        copy(work, k, 1, matrix, pivot, 1)
         for i in range(modes):
             if i != k:
-                subtract_products(matrix, at + i * modes + i, 1, work, modes + i, 0, work, i, 1, modes - i)
-        for i in range(k):
-            _move(matrix, at + i * modes + k, work, modes + i, 1)
-        _move(matrix, pivot + 1, work, modes + k + 1, modes - k - 1)
+                subtract_multiple(matrix, at + i * modes + i, work, modes + i, work, i, modes - i)
+        copy(matrix, at + k, modes, work, modes, k)
+        copy(matrix, pivot + 1, 1, work, modes + k + 1, modes - k - 1)
 
 
 @compiled
@@ -378,5 +380,5 @@ def _multiply(
     _zero(into, begin, modes)
     for i in range(modes):
         row = at + i * modes + i
-        subtract_products(into, begin + i, 0, matrix, row, 1, values, first + i, 1, modes - i)
-        subtract_products(into, begin + i + 1, 1, values, first + i, 0, matrix, row + 1, 1, modes - i - 1)
+        subtract_dot(into, begin + i, matrix, row, values, first + i, modes - i)
+        subtract_multiple(into, begin + i + 1, values, first + i, matrix, row + 1, modes - i - 1)

@@ -6,12 +6,36 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric.compiled import compiled
-from metafab.core.numeric.lanes import ELEMENT, LANES, lane_array, subtract_products, sum_terms
+from metafab.core.numeric.lanes import (
+    ELEMENT,
+    LANES,
+    copy,
+    lane_array,
+    subtract_dot,
+    subtract_multiple,
+    subtract_products,
+    sum_terms,
+)
 
 
 @compiled
-def _products(c: FloatArray, f: FloatArray, x: FloatArray, at: tuple[int, ...], step: tuple[int, ...], n: int) -> None:
-    subtract_products(c, at[0], step[0], f, at[1], step[1], x, at[2], step[2], n)
+def _products(c: FloatArray, f: FloatArray, x: FloatArray, n: int) -> None:
+    subtract_products(c, 1, f, 5, x, 3, n)
+
+
+@compiled
+def _multiple(c: FloatArray, f: FloatArray, x: FloatArray, n: int) -> None:
+    subtract_multiple(c, 1, f, 5, x, 3, n)
+
+
+@compiled
+def _dot(c: FloatArray, f: FloatArray, x: FloatArray, n: int) -> None:
+    subtract_dot(c, 1, f, 5, x, 3, n)
+
+
+@compiled
+def _copy(into: FloatArray, values: FloatArray, n: int) -> None:
+    copy(into, 1, 3, values, 2, n)
 
 
 @compiled
@@ -31,17 +55,26 @@ def _values(array: FloatArray) -> ComplexArray:
     return np.asarray(parts[:, 0] + 1j * parts[:, 1])
 
 
-def test_products_are_subtracted_step_by_step() -> None:
+def test_products_are_subtracted() -> None:
     rng = np.random.default_rng(1)
     c, f, x = (rng.normal(size=(12, LANES)) + 1j * rng.normal(size=(12, LANES)) for _ in range(3))
-    # Rows of a matrix, a scalar product, products of elements, backwards, and none at all.
-    for steps, n in (((1, 0, 1), 5), ((0, 1, 1), 4), ((1, 1, 1), 6), ((2, -1, 1), 3), ((1, 1, 1), 0)):
-        at, found, expected = (1, 5, 3), _lanes(c), c.copy()
-        _products(found, _lanes(f), _lanes(x), at, steps, n)
-        for k in range(n):
-            into, left, right = (first + k * step for first, step in zip(at, steps, strict=True))
-            expected[into] -= f[left] * x[right]
-        assert np.abs(_values(found) - expected).max() < 1e-14
+    for n in (5, 1, 0):
+        products, multiple, dot = c.copy(), c.copy(), c.copy()
+        products[1 : 1 + n] -= f[5 : 5 + n] * x[3 : 3 + n]
+        multiple[1 : 1 + n] -= f[5] * x[3 : 3 + n]
+        dot[1] -= np.sum(f[5 : 5 + n] * x[3 : 3 + n], axis=0)
+        for subtract, expected in ((_products, products), (_multiple, multiple), (_dot, dot)):
+            found = _lanes(c)
+            subtract(found, _lanes(f), _lanes(x), n)
+            assert np.abs(_values(found) - expected).max() < 1e-14
+
+
+def test_elements_are_copied_in_steps() -> None:
+    values = np.arange(12 * LANES).reshape(12, LANES) + 1j
+    found = lane_array(12)
+    _copy(found, _lanes(values), 4)
+    assert np.array_equal(_values(found)[1::3], values[2:6])
+    assert not np.delete(_values(found), np.s_[1::3], axis=0).any()
 
 
 def test_sums_of_terms_fill_the_rows_asked_for() -> None:
