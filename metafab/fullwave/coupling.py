@@ -8,7 +8,7 @@ light that reaches the focus; all other orders are lost or stray light.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
@@ -23,7 +23,7 @@ from metafab.cell.supercell import SupercellResponse
 from metafab.core.conventions import POLARISATIONS, Polarisation
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
-from metafab.core.storage.files import read_json, write_json
+from metafab.core.storage.files import file_sha256, read_json, write_json
 from metafab.fullwave.written import Axis, line_at, local_period_sites, supercell_at
 from metafab.layout import PillarMap
 from metafab.library import Library
@@ -131,9 +131,6 @@ def measure_rings(
     pillars: PillarMap, library: Library, radius_um: float, mask_sha256: str, progress: Progress = silent
 ) -> Coupling:
     """Solve rows along x in the middle of rings of equal area of a steep lens, by RCWA; errors as measure_coupling."""
-    if pillars.lattice.hexagonal or pillars.angle_deg is not None:
-        expected = "upright pillars in a rectangular lattice"
-        raise InputError.single("supercell", "lattice", expected, "another: not available for it")
     places = [(radius_um * math.sqrt((ring + 0.5) / _RINGS), 0.0) for ring in range(_RINGS)]
     functions = 0
     for x, y in places:
@@ -164,6 +161,13 @@ def save_coupling(coupling: Coupling, path: Path) -> None:
 def load_coupling(path: Path) -> Coupling | None:
     """Read ``coupling.json``; None where it is missing or of another kind."""
     return read_json(path, KIND, FORMAT, _coupling)
+
+
+def find_coupling(folder: Path, masks: Iterable[Path]) -> Coupling | None:
+    """Rows by ``metafab coupling`` or by the run, of one of the mask files of a run folder; None without any."""
+    records = [found for name in ("coupling.json", "orders.json") if (found := load_coupling(folder / name))]
+    of_masks = {file_sha256(path) for path in masks if path.is_file()} if records else ()
+    return next((found for found in records if found.mask_sha256 in of_masks), None)
 
 
 def _coupling(table: dict[str, Any]) -> Coupling | None:

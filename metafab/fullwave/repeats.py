@@ -61,8 +61,6 @@ def measure_orders(
     ``limit_s`` is the processor time that the solutions may take.
     """
     try:
-        if pillars.lattice.hexagonal or pillars.angle_deg is not None:
-            return OrdersFigures(reason="supercells hold upright pillars in a rectangular lattice")
         cell = site_cell(library)
         blocks = [library_responses(Supercell(cell, sizes), library) for sizes in _blocks(pillars)]
         repeat = [_repeat(blocks, axis) for axis in (0, 1)]

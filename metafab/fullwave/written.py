@@ -45,7 +45,12 @@ def sizes_at(pillars: PillarMap, row: int, column: int, shape: tuple[int, int]) 
     """Return the sizes (width, length) of a block of ``shape`` sites, nm, shape (n_y, n_x, 2).
 
     Its first row and column may lie outside the lattice; sizes are zero where there is no pillar or no site.
+    InputError for turned pillars and hexagonal lattices.
     """
+    if pillars.lattice.hexagonal or pillars.angle_deg is not None:
+        got = "a hexagonal lattice" if pillars.lattice.hexagonal else "turned ones"
+        expected = "upright pillars in a rectangular lattice in a supercell"
+        raise InputError.single("supercell", "pillars", expected, f"{got}: not available for these")
     index = np.zeros(shape, dtype=np.uint16)
     for tile in pillars.tiles():
         n_y, n_x = tile.size_index.shape

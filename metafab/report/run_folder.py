@@ -19,7 +19,7 @@ from metafab.core.storage.files import file_sha256
 from metafab.core.storage.tables import DAMAGED
 from metafab.decode.image import Image4D
 from metafab.exposure.record import ExposureRecord, load_record
-from metafab.fullwave.coupling import Coupling, load_coupling
+from metafab.fullwave.coupling import Coupling, find_coupling
 from metafab.fullwave.patch import Patch
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
@@ -183,7 +183,7 @@ def open_run(path: Path) -> RunFolder:
         decoded=_attempt(notes, "decoded", path / "decoded.h5", decode.load),
         # Files of other commands: no note where they are missing.
         exposure=_exposure(notes, path / "exposure.json", masks),
-        coupling=_coupling(path, summary),
+        coupling=find_coupling(path, masks),
         patch=_attempt(notes, "patch", patch_file, fullwave.load_patch) if patch_file.is_file() else None,
         comparison=comparison.load_comparison(path / "comparison.json"),
         notes=notes,
@@ -210,14 +210,6 @@ def _exposure(notes: dict[str, str], file: Path, masks: list[Path]) -> ExposureR
     if file.is_file():
         reason = "could not be read" if record is None else "is of another mask"
         notes["exposure"] = f"{file.name} {reason}: make it with `metafab expose`"
-    return None
-
-
-def _coupling(folder: Path, summary: RunSummary) -> Coupling | None:
-    """Rows whose figures the summary holds, as it does for rows of this mask; None without any."""
-    for coupling in (load_coupling(folder / name) for name in ("coupling.json", "orders.json")):
-        if coupling and summary.coupling and coupling.coupling_error == summary.coupling.coupling_error:
-            return coupling
     return None
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from metafab.core.conventions import POLARISATIONS
-from metafab.core.errors import InputError
+from metafab.core.errors import InputError, SolverError
 from metafab.core.figures import OrdersFigures
 from metafab.core.storage.files import file_sha256, read_json, write_json
 from metafab.core.storage.tables import optional, typed
@@ -42,17 +42,15 @@ class CouplingFigures:
 
 def recorded_coupling(job: Job) -> CouplingFigures | None:
     """Figures of rows by ``metafab coupling``, or of the step ``orders``, for a mask of this run; None without any."""
-    rows, orders = job.folder / "coupling.json", job.folder / _FILE
-    if not rows.is_file() and not orders.is_file():
+    if not any((job.folder / name).is_file() for name in ("coupling.json", _FILE)):
         return None
-    from metafab import fullwave
+    from metafab.fullwave.coupling import find_coupling
 
-    of_masks = {file_sha256(path) for path in mask_paths(job)}
-    for coupling in map(fullwave.load_coupling, (rows, orders)):
-        if coupling is not None and coupling.mask_sha256 in of_masks:
-            solvers = tuple(sorted({row.solver for row in coupling.rows}))
-            return CouplingFigures(coupling.coupling_error, coupling.efficiency_ratio, len(coupling.rows), solvers)
-    return read_json(orders, _KIND, 1, lambda table: _of_orders(table, of_masks))
+    if coupling := find_coupling(job.folder, mask_paths(job)):
+        solvers = tuple(sorted({row.solver for row in coupling.rows}))
+        return CouplingFigures(coupling.coupling_error, coupling.efficiency_ratio, len(coupling.rows), solvers)
+    of_masks = {file_sha256(path) for path in mask_paths(job) if path.is_file()}
+    return read_json(job.folder / _FILE, _KIND, 1, lambda table: _of_orders(table, of_masks))
 
 
 def _of_orders(table: dict[str, Any], of_masks: set[str]) -> CouplingFigures | None:
@@ -65,26 +63,26 @@ def _of_orders(table: dict[str, Any], of_masks: set[str]) -> CouplingFigures | N
 
 
 def _orders(job: Job) -> OrdersFigures:
-    from metafab.fullwave.repeats import measure_orders
-
     path = mask_paths(job)[-1]
-    if _focuses(job.design):
-        try:
+    try:
+        if _focuses(job.design):
             return _rings(job, path)
-        except InputError as error:
-            figures = OrdersFigures(reason=f"no rows of the lens were solved ({error.faults[0]})")
-            return _saved_orders(job, path, figures)
-    with job.work.processes() as executor:
-        figures = measure_orders(
-            mask_source(job, path).pillars, open_library(job), executor=executor, progress=job.work.progress
-        )
-    return _saved_orders(job, path, figures)
-
-
-def _saved_orders(job: Job, path: Path, figures: OrdersFigures) -> OrdersFigures:
+        figures = _repeats(job, path)
+    except InputError as error:
+        figures = OrdersFigures(reason=f"not solved ({error.faults[0]})")
+    except SolverError as error:
+        figures = OrdersFigures(reason=f"not solved ({error})")
     content = {"kind": _KIND, "format_version": 1, "mask_sha256": file_sha256(path), "figures": figures}
     write_json(job.folder / _FILE, content)
     return figures
+
+
+def _repeats(job: Job, path: Path) -> OrdersFigures:
+    from metafab.fullwave.repeats import measure_orders
+
+    with job.work.processes() as executor:
+        pillars, library = mask_source(job, path).pillars, open_library(job)
+        return measure_orders(pillars, library, executor=executor, progress=job.work.progress)
 
 
 def _rings(job: Job, path: Path) -> OrdersFigures:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -22,6 +24,16 @@ def test_beyond_the_lens_there_are_no_pillars(pillars: PillarMap) -> None:
     assert np.all(block[:2] == 0.0)
     assert np.all(block[:, 5:] == 0.0)
     assert np.all(block[2:, :5] > 0.0)
+
+
+def test_turned_pillars_and_hexagonal_lattices_are_refused_for_rows_and_patches_alike(
+    pillars: PillarMap, ramp_library: Library
+) -> None:
+    turned = replace(pillars, angle_deg=np.zeros(len(pillars.size_dbu)))
+    staggered = replace(pillars, lattice=replace(LATTICE, hexagonal=True))
+    for changed, got in ((turned, "turned"), (staggered, "hexagonal")):
+        with pytest.raises(InputError, match=f"upright pillars in a rectangular lattice.*{got}"):
+            supercell_at(changed, ramp_library, 0.0, 0.0, (3, 3))
 
 
 def test_a_place_is_the_middle_of_its_block(pillars: PillarMap, ramp_library: Library) -> None:

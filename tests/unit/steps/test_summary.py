@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
 from metafab import fullwave
+from metafab.core.errors import SolverError
 from metafab.core.figures import LightMapping, LineStatistics
 from metafab.core.storage.files import file_sha256
 from metafab.fullwave.coupling import CouplingRow
-from metafab.spec import Design
+from metafab.spec import Design, load_design, write_new
+from metafab.spec.new import NewLens
 from metafab.steps.images import DecodeFigures
 from metafab.steps.job import Job
 from metafab.steps.layout import LayoutFigures, mask_paths
 from metafab.steps.optics import PsfFigures
-from metafab.steps.orders import CouplingFigures, recorded_coupling
+from metafab.steps.orders import ORDERS, CouplingFigures, recorded_coupling
 from metafab.steps.summary import BudgetLine, RunSummary, Saving, error_budget, ledger
 from tests.closed_form_run import run_summary
 
@@ -76,6 +79,20 @@ def test_rows_of_another_mask_do_not(job: Job) -> None:
     fullwave.save_coupling(fullwave.Coupling("another", (ROW,)), job.folder / "coupling.json")
     assert recorded_coupling(job) is None
     assert _line(None).value is None
+
+
+@pytest.mark.parametrize("aperture", [0.9, 0.0])
+def test_rows_that_were_not_solved_are_a_line_of_the_summary(
+    aperture: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A steep lens, and a pattern that repeats: the run goes on where the solver found no answer."""
+    lens = NewLens(numerical_aperture=aperture, aperture_um=20.0) if aperture else None
+    design = load_design(write_new("own", "metalens" if aperture else "deflector", tmp_path, lens=lens)[0])
+    layout = tmp_path / "layout.oas"
+    layout.write_bytes(b"a mask")
+    monkeypatch.setattr("metafab.steps.orders.mask_source", Mock(side_effect=SolverError("a singular layer")))
+    found = ORDERS.work(Job(design, tmp_path))
+    assert found.sentence == "by the library alone: not solved (a singular layer)"
 
 
 def test_without_rows_nothing_is_measured_and_nothing_hashed(tmp_path: Path, small_design: Design) -> None:

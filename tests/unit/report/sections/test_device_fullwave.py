@@ -10,10 +10,10 @@ import pytest
 
 from metafab import fullwave, report
 from metafab.core.figures import OrderFigures, OrdersFigures
+from metafab.core.storage.files import file_sha256
 from metafab.fullwave.coupling import CouplingRow
 from metafab.report.figures import mask as figures
 from metafab.report.style import panel
-from metafab.steps.orders import CouplingFigures
 from metafab.steps.summary import RunSummary
 
 
@@ -58,14 +58,16 @@ def test_the_page_shows_both_fields_and_their_differences(patch: fullwave.Patch,
 def test_rows_are_shown_if_they_are_of_this_mask(tmp_path: Path) -> None:
     row = CouplingRow(600.0, -20.0, "x", "y", "rcwa", 21, 1, 6.2, 0.812, 0.934, 0.03, 0.125, 0.01, 2.0)
     fullwave.save_coupling(fullwave.Coupling("abc", (row,)), tmp_path / "coupling.json")
+    (tmp_path / "layout.oas").write_bytes(b"a mask")
     (tmp_path / "summary.json").write_text("{}")
     assert 'id="fullwave"' not in report.write(tmp_path).read_text(encoding="utf-8")
-    RunSummary(coupling=CouplingFigures(0.125, 0.9, 1, ("rcwa",))).save(tmp_path / "summary.json")
+    sha = file_sha256(tmp_path / "layout.oas")
+    fullwave.save_coupling(fullwave.Coupling(sha, (row,)), tmp_path / "coupling.json")
     text = report.write(tmp_path).read_text(encoding="utf-8")
     for cell in ("600, -20 along x", "rcwa", "21", "0.812", "0.934", "0.125"):
         assert cell in text
     # Rows of an earlier mask, beside those that the run solved for this one.
-    fullwave.save_coupling(fullwave.Coupling("abc", (row,)), tmp_path / "orders.json")
+    fullwave.save_coupling(fullwave.Coupling(sha, (row,)), tmp_path / "orders.json")
     earlier = replace(row, x_um=500.0, coupling_error=0.3)
     fullwave.save_coupling(fullwave.Coupling("before", (earlier,)), tmp_path / "coupling.json")
     text = report.write(tmp_path).read_text(encoding="utf-8")
