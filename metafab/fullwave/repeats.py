@@ -31,9 +31,9 @@ from metafab.library import Library
 #: Side of the blocks in which a repeat is looked for, and the longest repeat, sites. Shifts of up to half of a block
 #: are compared.
 _BLOCK_SITES, _LONGEST_SITES = 128, 40
-#: Least correlation of a block with itself, shifted by a repeat or a multiple of it: a period of 13.127 sites has
-#: 0.94 after four times 13, snapping to sizes takes 0.01 to 0.1.
-_ALIKE = 0.85
+#: Least correlation of a block with itself, up to a phase, shifted by a repeat or a multiple of it: snapping to sizes
+#: takes 0.01 to 0.1. Largest phase after a repeat, turns: the seam of a periodic window loses 1 - sinc^2 = 0.8 % there.
+_ALIKE, _TURNED = 0.85, 0.05
 #: Windows along an axis that are compared, and most windows that are solved.
 _PLACES, _WINDOWS = 8, 8
 #: Processor time that the solutions may take in a run; seconds per cubed number of functions, measured on a slow core.
@@ -110,11 +110,15 @@ def _correlation(t: ComplexArray, axis: int, shift: int) -> complex:
 def _repeat(blocks: Sequence[ComplexArray], axis: int) -> int:
     """Sites after which all blocks, shape (2, n_y, n_x), and both polarisations repeat along an axis; 0 if none do."""
     reach = min(block.shape[1 + axis] for block in blocks) // 2
-    alike = [1.0] + [
-        min(_correlation(t, axis, shift).real for block in blocks for t in block) for shift in range(1, reach + 1)
-    ]
-    for sites in range(1, min(reach, _LONGEST_SITES) + 1):
-        if min(alike[sites::sites]) >= _ALIKE:
+    shifts = range(reach + 1)
+    found = np.array([[_correlation(t, axis, shift) for shift in shifts] for block in blocks for t in block])
+    alike, turned = np.abs(found).min(axis=0) >= _ALIKE, np.abs(np.angle(found)).max(axis=0) / (2.0 * math.pi)
+    near = alike & (turned <= _TURNED)
+    if near.all():
+        return 1
+    # Equal neighbours of a slow phase are no repeat of it.
+    for sites in range(int(np.argmin(near)), min(reach, _LONGEST_SITES) + 1):
+        if near[sites] and alike[sites::sites].all() and turned[sites] == turned[sites - 1 : sites + 2].min():
             return sites
     return 0
 
@@ -220,6 +224,7 @@ def _figures(
     by_library = np.einsum("w,wopp->po", share, np.abs(lone) ** 2) * carried[:, None]
     mean = np.einsum("w,wpo->po", share, full)
     spread = np.sqrt(np.einsum("w,wpo->po", share, (full - mean) ** 2) * unsolved / max(len(found) - 1, 1))
+    seam = 1.0 - np.prod(np.sinc(np.array(drift)) ** 2, axis=0)
     part = _SHARE_CURVED if one.cell.is_shaped else _SHARE
     truncation = part * np.einsum("w,wpo->po", share, np.abs(change)) + _FLOOR / _resolutions(one)[-1] ** 2
     rows = []
@@ -239,7 +244,7 @@ def _figures(
                     angle_y_deg=float(along[1]),
                     efficiency=float(mean[p, i]),
                     library_efficiency=float(by_library[p, i]),
-                    error=float(truncation[p, i] + spread[p, i]),
+                    error=float(truncation[p, i] + spread[p, i] + seam[p] * mean[p, i]),
                     wanted=bool(wanted[i]),
                 )
             )

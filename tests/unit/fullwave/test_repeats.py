@@ -32,6 +32,7 @@ def _block(turns: np.ndarray) -> np.ndarray:
         (1.0 / 7.0, 7),
         (1.0 / 13.127, 13),
         (1.0 / 5.45, 11),  # 5 and 6 are 0.08 and 0.1 turns off
+        (1.0 / 8.83, 9),  # 0.02 turns off, and 0.14 after seven times
         (0.0, 1),
         (1.0 / 250.0, 0),  # equal neighbours are no repeat of a slow phase
     ],

@@ -230,6 +230,6 @@ def _quotient(numerator: Matrix, denominator: Matrix) -> Matrix | None:
 
 def _solve(matrix: Matrix, columns: Matrix) -> Matrix | None:
     """Solve by LAPACK directly, as NumPy's checks take as long as a small system; None if singular."""
-    gesv = lapack.zgesv if matrix.dtype == np.complex128 else lapack.dgesv
+    gesv = lapack.dgesv if matrix.dtype == columns.dtype == np.float64 else lapack.zgesv
     _, _, solution, info = gesv(matrix, columns)
     return np.asarray(solution) if info == 0 else None
