@@ -143,7 +143,7 @@ def _require_rules_of_copies(job: Job) -> None:
                 f"lower the bias or widen `rules.min_gap_nm`; `metafab drc {path.name} --copy {number}` lists places"
             )
             expected = "a bias that keeps the design rules"
-            key = f"mask.copies[{number}].bias_nm"
+            key = f"mask.copies[{number - 1}].bias_nm"
             raise InputError.single(job.design.name, key, expected, f"{copy.bias_nm:g} nm ({broken}{gap})", remedy)
 
 

@@ -56,15 +56,15 @@ def lens_copies(design: Design, patterns: Sequence[int] = ()) -> tuple[LensCopy,
     """
     unit_nm = design.mask.database_unit_nm
     copies: list[LensCopy] = []
-    for number, copy in enumerate(design.mask.copies, start=1):
+    for number, copy in enumerate(design.mask.copies):
         key = f"mask.copies[{number}]"
         x_dbu, y_dbu = (whole_dbu(at_um * 1e3, unit_nm, f"{key}.at_um") for at_um in copy.at_um)
         bias_dbu = whole_dbu(copy.bias_nm, unit_nm, f"{key}.bias_nm", even=True)
-        for other, before in enumerate(copies, start=1):
+        for other, before in enumerate(copies):
             if max(abs(x_dbu - before.x_dbu), abs(y_dbu - before.y_dbu)) < aperture_dbu(design):
-                expected = f"at least {design.device.aperture_um:g} um from copy {other}, along x or along y"
+                expected = f"at least {design.device.aperture_um:g} um from `mask.copies[{other}]`, along x or along y"
                 raise InputError.single(design.name, f"{key}.at_um", expected, f"{copy.at_um}", "move it")
-        variant = Variant(bias_dbu, design.mask.doses.index(copy.dose), patterns[number - 1] if patterns else 0)
+        variant = Variant(bias_dbu, design.mask.doses.index(copy.dose), patterns[number] if patterns else 0)
         copies.append(LensCopy(x_dbu, y_dbu, variant, copy.label))
     return tuple(copies) or (LensCopy(0, 0),)
 

@@ -102,17 +102,17 @@ def included_cells(design: Design, around: tuple[Surroundings, ...]) -> tuple[In
     street without ``beyond_street``; or a cell that contains itself, is nested deeper than the limit, or holds
     more shapes and texts than the limit.
     """
-    cells = tuple(_read(design, number, item) for number, item in enumerate(design.mask.include, start=1))
-    for number, cell in enumerate(cells, start=1):
+    cells = tuple(_read(design, number, item) for number, item in enumerate(design.mask.include))
+    for number, cell in enumerate(cells):
         key = f"mask.include[{number}]"
         _require_layers(design, key, cell)
         boxes, outlines = cell.boxes, cell.outlines
         require_clear_of_lenses(design, key, boxes, f"a polygon of {cell.cell}", outlines)
         for layer in around:
             require_apart(design, key, boxes, boxes_of(layer.rectangles), layer.name, outlines)
-        for other, before in enumerate(cells[: number - 1], start=1):
+        for other, before in enumerate(cells[:number]):
             require_apart(design, key, boxes, before.boxes, f"mask.include[{other}]", outlines, before.outlines)
-        if not design.mask.include[number - 1].beyond_street:
+        if not design.mask.include[number].beyond_street:
             remedy = "move it, widen `mask.chip.margin_um`, or state `beyond_street = true` for shapes of the wafer"
             require_within_frame(design, key, boxes, remedy)
     return cells

@@ -39,7 +39,7 @@ def kit_structures(design: Design) -> tuple[Structure, ...]:
     if kit is None:
         return ()
     for name, items in _lists(kit):
-        for number, item in enumerate(items, start=1):
+        for number, item in enumerate(items):
             key = f"mask.kit.{name}[{number}]"
             unit = _Unit(design.mask.database_unit_nm, key)
             first, second = _draw(item, unit)

@@ -145,7 +145,7 @@ def _copy_labels(design: Design, chip: Chip, copies: Sequence[LensCopy], lens: i
     InputError if a label is wider than its lens, or lies on another lens.
     """
     square = _dbu(design, chip.text_um) // ROWS
-    for number, copy in enumerate(copies, start=1):
+    for number, copy in enumerate(copies):
         if copy.label is None or not chip.text_um:
             continue
         key, width = f"mask.copies[{number}].label", width_squares(copy.label) * square

@@ -1,5 +1,6 @@
 """Corners of a closed form whose resonance moves by most of its width."""
 
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import cast
 
@@ -29,9 +30,9 @@ def _surface(width_nm: FloatArray, length_nm: FloatArray) -> SizeResponse:
     return SizeResponse(t[:, 0], t[:, 1], np.zeros(len(t)))
 
 
-def _library() -> Library:
+def _library(model: Callable[[FloatArray, FloatArray], ComplexArray] | None = None) -> Library:
     side = np.linspace(100.0, 250.0, 31)
-    return cast(Library, SimpleNamespace(width_nm=side, length_nm=side, surface=_surface))
+    return cast(Library, SimpleNamespace(width_nm=side, length_nm=side, surface=_surface, model=model))
 
 
 def test_a_ridge_that_moves_and_widens() -> None:
@@ -49,6 +50,17 @@ def test_a_ridge_that_moves_and_widens() -> None:
     changed = float(np.linalg.norm((_both(*sizes.T) - true)[others]) / np.linalg.norm(true[others]))
     assert missed < 0.05 * changed, (missed, stated, changed)
     assert missed < stated < 2.0 * missed, (missed, stated, changed)
+
+
+def test_sizes_beyond_the_sweep_follow_the_model_of_the_library() -> None:
+    """With the surface at the end of the sweep in place of the model, 0.011 is missed and 0.115 stated."""
+    sizes = np.random.default_rng(0).uniform(92.0, 238.0, (600, 2))
+    true = _both(*(sizes - 4.0).T, half_width_nm=8.4)
+    sample = np.random.default_rng(4).choice(600, 56, replace=False)
+    fitted, stated = fitted_amplitudes(_library(_both), sizes, sample, true[sample], [(0, 1)])
+    others = np.setdiff1d(np.arange(600), sample)
+    missed = float(np.linalg.norm((fitted - true)[others]) / np.linalg.norm(true[others]))
+    assert missed < stated < 2.0e-4, (missed, stated)
 
 
 def test_what_the_solver_misses_with_and_without_the_change_is_no_change(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,10 +31,10 @@ def job(folder: Path, library: Library, bias_nm: float) -> Job:
 
 def test_a_copy_that_breaks_a_rule_is_refused_when_it_is_laid_out(smooth_library: Library, tmp_path: Path) -> None:
     """10 nm more leave less than 100 nm between pillars; 10 nm less leave less than 100 nm of the smallest ones."""
-    with pytest.raises(InputError, match=r"mask\.copies\[2\]\.bias_nm") as refused:
+    with pytest.raises(InputError, match=r"mask\.copies\[1\]\.bias_nm") as refused:
         write_layout(job(tmp_path, smooth_library, 10.0))
     assert "smallest gap 9" in str(refused.value)
-    with pytest.raises(InputError, match=r"mask\.copies\[2\]\.bias_nm"):
+    with pytest.raises(InputError, match=r"mask\.copies\[1\]\.bias_nm"):
         write_layout(job(tmp_path, smooth_library, -10.0))
 
 

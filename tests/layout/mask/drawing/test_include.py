@@ -196,7 +196,7 @@ def test_marks_frames_and_other_cells_are_never_touched(
     with pytest.raises(InputError, match="touches: frame"):
         mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, on_frame, chip=chip))
     beside = Include(shop, "SHOP", at_um=(half + 10.0, 0.0))
-    with pytest.raises(InputError, match=r"mask.include\[1\]"):
+    with pytest.raises(InputError, match=r"mask.include\[1\].*mask.include\[0\]"):
         mask.write(tiny.pillars, tmp_path, with_shop(tiny_design, beside, beside))
     other_lens = (Copy((0.0, 0.0)), Copy((2.5 * half, 0.0)))
     with pytest.raises(InputError, match="in lens 2"):
@@ -227,7 +227,7 @@ def test_a_ring_may_lie_around_lens_and_cells(tiny: Assignment, tiny_design: Des
     assert found.other_layers == {"30/0": 1, "31/0": 1}
     # Half a micrometre further out, the L's outer edge lies on the inner edge of the ring; 0.5 nm before it does not.
     touching = with_shop(tiny_design, around, replace(within, at_um=(-0.5, 0.5)))
-    with pytest.raises(InputError, match=r"touches: mask.include\[1\]"):
+    with pytest.raises(InputError, match=r"touches: mask.include\[0\]"):
         mask.write(tiny.pillars, tmp_path / "no", touching)
     mask.write(tiny.pillars, tmp_path / "yes", with_shop(tiny_design, around, replace(within, at_um=(-0.5005, 0.5005))))
     near = Include(ring(tmp_path / "near.gds", half - 0.5))

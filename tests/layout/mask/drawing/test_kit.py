@@ -152,15 +152,15 @@ def test_exposures_and_doses_are_listed(files: dict[str, Path], chip: Design) ->
 @pytest.mark.parametrize(
     ("kit", "named"),
     [
-        (Kit(overlays=(Overlay((20.0, 0.0)),)), r"overlays\[1\].*lens 1"),
-        (Kit(overlays=(Overlay((45.0, 0.0)), Overlay((58.0, 0.0)))), r"overlays\[2\].*overlays\[1\]"),
-        (Kit(gratings=(Grating((-55.0, 55.0), (500.0,), (250.0,), (5.0, 5.0)),)), r"gratings\[1\].*alignment marks"),
-        (Kit(gratings=(Grating((230.0, 0.0), (500.0,), (250.0,), (5.0, 5.0)),)), r"gratings\[1\].*frame"),
+        (Kit(overlays=(Overlay((20.0, 0.0)),)), r"overlays\[0\].*lens 1"),
+        (Kit(overlays=(Overlay((45.0, 0.0)), Overlay((58.0, 0.0)))), r"overlays\[1\].*overlays\[0\]"),
+        (Kit(gratings=(Grating((-55.0, 55.0), (500.0,), (250.0,), (5.0, 5.0)),)), r"gratings\[0\].*alignment marks"),
+        (Kit(gratings=(Grating((230.0, 0.0), (500.0,), (250.0,), (5.0, 5.0)),)), r"gratings\[0\].*frame"),
         (
             Kit(gratings=(Grating((900.0, 0.0), (500.0,), (250.0,), (5.0, 5.0)),)),
             "within the frame, x from -80 to 230 um",
         ),
-        (Kit(cd_bars=(CdBars((-45.0, 0.0), (100.3,)),)), r"cd_bars\[1\].width_nm"),
+        (Kit(cd_bars=(CdBars((-45.0, 0.0), (100.3,)),)), r"cd_bars\[0\].width_nm"),
         (Kit(gratings=(Grating((-45.0, 0.0), (500.0,), (250.0,), (0.4, 5.0)),)), "size_um"),
         (Kit(gratings=(Grating((-900.0, 0.0), (500.0, 500.0), (250.0, 250.0), (700.0, 700.0)),)), "1960000"),
         (Kit(overlays=(Overlay((-45.0, 0.0)),), distance_um=30.0, clear_um=20.0), "clear_um"),
