@@ -13,7 +13,7 @@ from metafab.camera import RawFrame
 from metafab.camera.frames.frame import Truth
 from metafab.core.conventions import FloatArray
 from metafab.decode import Image4D
-from metafab.decode.evaluation.metrics import overlap
+from metafab.decode.evaluation import overlap
 
 #: Relative error of depth from which a pixel is wrong.
 WRONG = 0.05

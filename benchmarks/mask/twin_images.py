@@ -1,7 +1,7 @@
 """Simulated twin images at the level of the pupil, and their depth by maximum likelihood: a test of the bound.
 
 Both polarisations' PSFs image a random texture, with photon and read noise. The rim defocus is estimated under the
-model of :mod:`metafab.information.twin_images`: per frequency y = b s + noise with unknown s of unit power, whose log
+model of :mod:`metafab.information.fisher`: per frequency y = b s + noise with unknown s of unit power, whose log
 likelihood is |b^H y|^2 / (1 + |b|^2) - ln(1 + |b|^2). The patch is periodic, so no border is lost.
 """
 

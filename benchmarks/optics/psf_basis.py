@@ -17,7 +17,7 @@ from scipy.linalg import eigh
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.numeric.splines import spline_weights
+from metafab.core.numeric.interpolation import spline_weights
 from metafab.optics.point_spread import Psf
 
 #: Singular vectors computed at first; all are computed only if these do not suffice.

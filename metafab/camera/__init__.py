@@ -3,8 +3,7 @@
 - ``geometry``    directions to places on the sensor and back, for both polarisations: Psf -> ImageMap
 - ``kernels``     blur kernels at any depth and direction: Psf -> PairKernels
 - ``rendering/``  a scene at rest -> mean electrons of each pixel
-- ``sensor``      noise, dark current, fixed pattern, full wells, counts
-- ``capture``     Scene and Psf -> RawFrame, or the RawFrames of a film
+- ``capture``     Scene and Psf -> RawFrame, or the RawFrames of a film; the sensor's noise, full wells and counts
 - ``exact``       the PSFs of one scene's own depths, field and light: Scene -> Psf
 - ``stokes``      a scene of known polarisation as six images: Scene and StokesPsf -> StokesFrame
 - ``frames/``     RawFrame and its truth; raw.h5, batches of frames, TIFF, PNG and NumPy files
@@ -21,8 +20,7 @@ from metafab.camera.frames.foreign import (
 )
 from metafab.camera.frames.foreign import counts_of as counts_of
 from metafab.camera.frames.foreign import require_frame_name as require_frame_name
-from metafab.camera.frames.frame import RawFrame, Truth
-from metafab.camera.frames.store import load, save
+from metafab.camera.frames.frame import RawFrame, Truth, load, save
 from metafab.camera.geometry import ImageMap as ImageMap
 from metafab.camera.kernels import PairKernels as PairKernels
 

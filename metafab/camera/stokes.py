@@ -8,15 +8,15 @@ import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
+from metafab.camera.capture import FixedPattern, expose
 from metafab.camera.kernels import pixel_transfer
 from metafab.camera.rendering.occlusion import PINHOLE, Occluder, visible_piece, visible_share
 from metafab.camera.rendering.picture import require_objects
 from metafab.camera.rendering.render import Renderer
 from metafab.camera.rendering.windows import shifts_px_m
-from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.interpolation import spline_weights
 from metafab.core.numeric.spectra import convolved
-from metafab.core.numeric.splines import spline_weights
 from metafab.optics.polarisation_states import StokesPsf
 from metafab.spec import Scene
 

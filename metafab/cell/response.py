@@ -12,8 +12,7 @@ import numpy as np
 from metafab.cell.fresnel import admittance
 from metafab.cell.pillar import PillarCell
 from metafab.core.conventions import ComplexArray, FloatArray, Side
-from metafab.core.display import Displayed
-from metafab.core.labelled import dataset
+from metafab.core.display import Displayed, dataset
 
 if TYPE_CHECKING:
     import xarray

@@ -27,7 +27,6 @@ from metafab.cli.commands import expose  # noqa: F401
 from metafab.cli.commands import fullwave  # noqa: F401
 from metafab.cli.commands import light  # noqa: F401
 from metafab.cli.commands import images  # noqa: F401
-from metafab.cli.commands import stokes  # noqa: F401
 from metafab.cli.commands import service  # noqa: F401
 
 # isort: on

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from metafab.camera.capture import FixedPattern, expose
 from metafab.camera.kernels import PairKernels
 from metafab.camera.rendering.texture import make_texture
-from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.spectra import convolved

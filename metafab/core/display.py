@@ -1,13 +1,24 @@
-"""Display of results: key figures in a console, and with a small picture in a notebook."""
+"""Display of results in a console and a notebook, and results as labelled arrays of xarray, an optional package."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from html import escape
 from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+from numpy.typing import ArrayLike
+
+from metafab.core.errors import MissingToolError
+
+if TYPE_CHECKING:
+    import xarray
 
 #: Module whose function ``picture(result)`` returns an HTML picture of a result, or "". It is named here and imported
 #: when a notebook asks for a picture, because the rooms of results stand below the one that draws.
 PICTURES = "metafab.report.cards"
+#: Dimensions, values and unit of one variable; "" for a pure number.
+Variable = tuple[tuple[str, ...], ArrayLike, str]
 
 
 class Displayed:
@@ -32,3 +43,18 @@ class Displayed:
         title = f"<b>{type(self).__name__}</b>"
         figures = f"<div>{title}<table>{rows}</table></div>"
         return f'<div style="display:flex;gap:1.5em;align-items:center">{picture}{figures}</div>'
+
+
+def dataset(
+    variables: Mapping[str, Variable], coordinates: Mapping[str, ArrayLike], **attributes: Any
+) -> xarray.Dataset:
+    """Make an xarray dataset of variables by name: dimensions, values of any shape, unit. MissingToolError without it.
+
+    Coordinates are dimension -> values of shape (n,); their unit is the suffix of the name.
+    """
+    try:
+        import xarray
+    except ImportError as error:
+        raise MissingToolError("`to_xarray` needs xarray: pip install 'metafab[notebook]'") from error
+    data = {name: (dims, values, {"units": unit}) for name, (dims, values, unit) in variables.items()}
+    return xarray.Dataset(data, {name: ((name,), values) for name, values in coordinates.items()}, attributes)

@@ -5,13 +5,12 @@
 - ``segmentation/``  connected segments of one plane, with the depth of each: CostVolume -> Regions
 - ``images/``        Wiener deconvolution and contrast; the parts put together: -> Image4D
 - ``confidence``     the definition of a depth's confidence
-- ``image``          Image4D, and its arrays by name
+- ``image``          Image4D, its arrays by name, and decoded.h5
 - ``decoder``        ``decode`` for one frame, ``Decoder`` for many of one shape
 - ``stokes``         depth and Stokes vectors from six images: StokesFrame and StokesPsf -> StokesImage
 - ``film/``          change detection and tracking: a decoder of films that decodes only what changed
 - ``camera_fit/``    calibration of a camera from photographs of a point
-- ``evaluation/``    errors against the truth, and the Cramer-Rao bound of depth
-- ``store``          Image4D <-> decoded.h5
+- ``evaluation``     errors against the truth, and the Cramer-Rao bound of depth
 """
 
 from metafab.core.figures import SegmentFigures as SegmentFigures
@@ -19,12 +18,10 @@ from metafab.decode.camera_fit.pinhole import NOT_SEPARATED as NOT_SEPARATED
 from metafab.decode.camera_fit.pinhole import CameraFit, calibrate
 from metafab.decode.camera_fit.pinhole import read_depths as read_depths
 from metafab.decode.decoder import FAST, Decoder, DecoderNumerics, decode
-from metafab.decode.evaluation.bound import DepthBound
-from metafab.decode.evaluation.metrics import object_errors
+from metafab.decode.evaluation import DepthBound, object_errors
 from metafab.decode.film.video import VideoDecoder
-from metafab.decode.image import Image4D
+from metafab.decode.image import Image4D, load, save
 from metafab.decode.segmentation.prepared_frame import NO_LIGHT as NO_LIGHT
-from metafab.decode.store import load, save
 
 __all__ = [
     "decode",

@@ -14,7 +14,7 @@ from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import Progress, silent
-from metafab.decode.evaluation.metrics import evaluated
+from metafab.decode.evaluation import evaluated
 from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines

@@ -22,7 +22,7 @@ from metafab.drc.rules import RULES, SLACK_DBU, require_one_top, require_shapes,
 from metafab.layout import Outline
 from metafab.mask import read_shapes
 from metafab.mask.read import Shapes
-from metafab.mask.shapes.known import KnownShapes
+from metafab.mask.shapes.recover import KnownShapes
 from metafab.spec import Design
 
 #: Side of KLayout's tiles. Its scan lines cost more the longer they are: 50 um take two thirds of the time of 170.

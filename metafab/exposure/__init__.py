@@ -9,10 +9,9 @@
 - ``beside_lens``  shapes of a mask beside a lens: other copies, frame, text, test structures
 - ``shape``      sizes to draw at one dose
 - ``etch``       sizes after the etch: bias and microloading
-- ``expose``     :func:`expose`: printed sizes, corrected doses, dose classes
+- ``expose``     :func:`expose`: printed sizes, corrected doses, dose classes; ``exposure.json``
 - ``fit``        process from measured sizes
 - ``process_file``  table of measured sizes to process file
-- ``record``     size errors before and after the correction, for the report; ``exposure.json``
 
 In: a :class:`~metafab.layout.pillars.PillarMap` of drawn rectangles and a :class:`BeamPsf`. Out: an :class:`Exposure`.
 Energies are relative to that of a large pad at the base dose, or to the clearing energy where stated.
@@ -32,11 +31,11 @@ from metafab.exposure.expose import (
     expose,
     expose_lenses,
 )
+from metafab.exposure.expose import ExposureRecord as ExposureRecord
 from metafab.exposure.expose import SampledPillar as SampledPillar
 from metafab.exposure.expose import SizeErrors as SizeErrors
-from metafab.exposure.record import ExposureRecord as ExposureRecord
-from metafab.exposure.record import load_record as load_record
-from metafab.exposure.record import save_record as save_record
+from metafab.exposure.expose import load_record as load_record
+from metafab.exposure.expose import save_record as save_record
 from metafab.spec.mask import BeamTerm
 
 __all__ = [

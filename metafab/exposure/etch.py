@@ -22,7 +22,7 @@ from metafab.exposure.energy.far import LongRange, block_masses
 from metafab.exposure.expose import Exposure
 from metafab.layout import PillarMap
 from metafab.layout.outlines import RECTANGLE, Outline
-from metafab.layout.resized import bands, resized
+from metafab.layout.pillars import bands, resized
 from metafab.spec.mask import BeamTerm, Etch
 
 #: Shortest range of the microloading, in periods: three blocks.

@@ -1,11 +1,12 @@
-"""Exposure of a mask: printed sizes of every pillar, with one dose for all or with corrected doses."""
+"""Exposure of a mask: printed sizes of every pillar, with one dose for all or corrected doses; ``exposure.json``."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.work import Work
-from metafab.core.storage.tables import optional
+from metafab.core.storage.files import read_json, write_json
+from metafab.core.storage.tables import optional, typed
 from metafab.exposure.correction import MOST_CLASSES, LensDoses, corrected, dose_span, quantised
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.beside import Beside
@@ -44,6 +46,8 @@ _ROUNDING_NM = 0.1
 _WINDOW_PERCENT = tuple(float(k) for k in range(-10, 11, 2))
 
 Correction = Literal["none", "dose", "shape"]
+KIND = "metafab exposure"
+FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -359,3 +363,35 @@ def _samples(
     printed = np.maximum(0.0, shapes.size_nm + values[:, 3:])
     columns_ = (x_um[columns], y_um[rows], *shapes.size_nm.T, doses, *values[:, :3].T, *printed.T, radius)
     return tuple(SampledPillar(*row) for row in np.stack(columns_, axis=1).tolist())
+
+
+@dataclass(frozen=True)
+class ExposureRecord:
+    """Exposure of a written mask, before and after the correction."""
+
+    mask_sha256: str  #: Hash of the mask file.
+    psf_source: str  #: Source of the beam's point-spread function.
+    correction: Correction  #: Kind of the correction.
+    plain: SizeErrors  #: Size errors with one dose.
+    corrected: SizeErrors | None  #: Size errors after the correction; None without one.
+
+
+def save_record(record: ExposureRecord, path: Path) -> None:
+    """Write ``exposure.json``."""
+    write_json(path, {"kind": KIND, "format_version": FORMAT, **vars(record)})
+
+
+def load_record(path: Path) -> ExposureRecord | None:
+    """Read ``exposure.json``; None where it is missing, damaged, of another kind or of a newer format."""
+    return read_json(path, KIND, FORMAT, _record)
+
+
+def _record(table: dict[str, Any]) -> ExposureRecord:
+    record = typed(ExposureRecord, table)
+    for part in (record.plain, record.corrected):
+        if part is None:
+            continue
+        sound = part.size_map.bias_nm.ndim == 2 and part.cd_histogram.shape == (part.cd_edges_nm.size - 1,)
+        if not sound or not part.window:
+            raise ValueError("size errors of unequal shapes")
+    return record

@@ -19,7 +19,7 @@ from metafab.exposure.prediction import NO_PLACES, Printing, predict
 from metafab.exposure.printing import EdgeTables
 from metafab.layout import PillarMap
 from metafab.layout.outlines import Outline
-from metafab.layout.resized import bands, resized
+from metafab.layout.pillars import bands, resized
 
 #: Largest number of rounds, and the share of sizes that change in the last one.
 _MOST_ROUNDS, _SETTLED = 8, 1e-3

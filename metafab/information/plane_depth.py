@@ -17,7 +17,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.core.numeric.peaks import parabolic_maximum
+from metafab.core.numeric.interpolation import parabolic_maximum
 from metafab.information.texture import Texture
 
 #: Trial contrasts of a plane, whose own contrast is unknown.

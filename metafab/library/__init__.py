@@ -5,8 +5,7 @@
 - ``foreign/`` sweeps of other programs
 - ``use/``     target phases -> sizes, figures of merit, checks
 - ``neighbours/``  fields of unlike pillars side by side: chains of coupled modes
-- ``axes``     corners of a sweep (wavelength, height, walls, bias, index, angle), and the cells there
-- ``corners``  models over the axes, and the response at one corner
+- ``axes``     corners of a sweep (wavelength, height, walls, bias, index, angle), cells and models there
 - ``surface``  continuous evaluation at millions of sizes per second
 - ``library``  Library: values on the grid of sizes, ``library.at(wavelength_nm=803.0)``, ``library.surface``
 - ``store``    save and load (HDF5)
@@ -24,7 +23,7 @@ from metafab.library.library import Library, evaluate
 from metafab.library.store import load, save
 from metafab.library.sweep.build import build, expected_cells
 from metafab.library.use.check import check
-from metafab.library.use.index_error import index_phase_error_rad
+from metafab.library.use.error_terms import index_phase_error_rad
 from metafab.library.use.lookup import SizeTable, build_size_table
 from metafab.library.use.quality import quality
 

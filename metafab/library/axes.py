@@ -1,4 +1,4 @@
-"""Corners: values of wavelength, height, wall angle, bias, index or angle of incidence, and the cells at them.
+"""Corners: values of wavelength, height, wall angle, bias, index or angle of incidence; cells and models at them.
 
 A corner is a value for each axis of the sweep. Two axes are special. A bias of the critical dimension changes width and
 length equally: it widens the model's range of sizes and is no variable of the model. The response is even in the angle
@@ -12,12 +12,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from metafab.cell import PillarCell, pillar_cell
 from metafab.cell.validation import check
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
-from metafab.library.fit.rational import Range, scaled
+from metafab.core.figures import CornerStatistics
+from metafab.library.fit.certificate import NEIGHBOURS, disagreement_estimate, steepness
+from metafab.library.fit.models import RankedModels
+from metafab.library.fit.rational import Range, RationalModel, scaled
 from metafab.spec import UnitCell
 
 #: Values by name of the axis, such as ``{"wavelength_nm": 803.0}``.
@@ -155,3 +159,44 @@ def _from_smooth(name: str, smooth: float) -> float:
     if name == "corner_radius_nm":
         return math.sqrt(max(smooth, 0.0))
     return math.degrees(math.asin(math.sqrt(max(smooth, 0.0)))) if name in _AZIMUTH_DEG else smooth
+
+
+@dataclass(frozen=True)
+class Corners:
+    """Models over sizes and axes, with the solved cells that bound their error."""
+
+    models: RankedModels  #: The model that is used, and its rivals of other degrees.
+    safety_factor: float  #: Ratio of held-out errors to the models' disagreement, at least 1.
+    floor: float  #: Least estimate of the model's error: the rms held-out error.
+    place: FloatArray  #: Shape (n, 2 + n_variables), the solved cells in the box of sizes and axes, each in -1..1.
+    certificate: FloatArray  #: Shape (n,), the solver's error at each.
+    statistics: CornerStatistics = CornerStatistics()  #: Figures of the sampling.
+
+    def at(
+        self, box: CornerBox, corner: Corner, width_nm: FloatArray, length_nm: FloatArray, exchange: bool
+    ) -> tuple[RationalModel, FloatArray, FloatArray]:
+        """Return the model of a corner's drawn sizes, and its error at and around each: shape (n_length, n_width).
+
+        The grid of sizes has the axes ``width_nm``, shape (n_width,), and ``length_nm``. ``corner`` holds a value for
+        every axis, as :meth:`CornerBox.completed` returns; ``exchange`` says whether t_xx(W, L) = t_yy(L, W) there.
+        """
+        bias_nm, axes = corner.get("cd_bias_nm", 0.0), box.to_variables(corner)
+        models = self.models.at(axes, bias_nm)
+        best = models.best
+
+        def model_error(disagreement: FloatArray) -> FloatArray:
+            estimate = disagreement_estimate(disagreement, exchange)
+            return np.asarray(np.maximum(self.safety_factor * estimate, self.floor), dtype=np.float64)
+
+        on_grid = model_error(models.disagreement(width_nm, length_nm))
+        around = model_error(models.disagreement(width_nm, length_nm, around=True))
+        certificate = self._certificate(box, width_nm + bias_nm, length_nm + bias_nm, axes)
+        return best, certificate + on_grid, certificate * steepness(best, width_nm, length_nm) + around
+
+    def _certificate(self, box: CornerBox, width_nm: FloatArray, length_nm: FloatArray, axes: FloatArray) -> FloatArray:
+        """The solver's error at each size: the largest of the nearest solved cells, shape (n_length, n_width)."""
+        width, length = np.meshgrid(width_nm, length_nm)
+        points = box.points(width.ravel(), length.ravel(), np.tile(axes, (width.size, 1)))
+        count = min(NEIGHBOURS, self.certificate.size)
+        near = cKDTree(self.place).query(points, k=count)[1].reshape(*width.shape, count)
+        return np.asarray(self.certificate[near].max(axis=-1), dtype=np.float64)

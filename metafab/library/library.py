@@ -11,14 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from metafab.cell import PillarCell, is_square
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.core.display import Displayed
+from metafab.core.display import Displayed, dataset
 from metafab.core.errors import InputError
 from metafab.core.figures import BuildStatistics
-from metafab.core.labelled import dataset
 from metafab.core.storage.files import fingerprint
 from metafab.core.storage.provenance import contents_sha256, sources_sha256
-from metafab.library.axes import Corner, CornerBox, corner_cell, corner_unit_cell
-from metafab.library.corners import Corners
+from metafab.library.axes import Corner, CornerBox, Corners, corner_cell, corner_unit_cell
 from metafab.library.fit.rational import RationalModel
 from metafab.library.neighbours.model import Neighbours
 from metafab.library.surface import SMALLEST_SURFACE, SizeResponse, Surface

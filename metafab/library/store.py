@@ -19,7 +19,7 @@ from metafab.core.figures import BuildStatistics, CornerStatistics
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import plain
 from metafab.core.storage.limits import beyond, limit
-from metafab.library.corners import Corners
+from metafab.library.axes import Corners
 from metafab.library.fit.models import RankedModels
 from metafab.library.fit.rational import Range, RationalModel, Shape
 from metafab.library.library import Library, inputs_of

@@ -16,7 +16,7 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
-from metafab.core.storage.latest import Latest, file_mark
+from metafab.core.storage.files import Latest, file_mark
 from metafab.core.storage.limits import beyond, limit, limited
 from metafab.layout import Outline, PillarMap, lattice_of, tile_sites
 from metafab.mask.budget import Budget
@@ -25,8 +25,7 @@ from metafab.mask.gdsii.reader import GdsiiReader
 from metafab.mask.oasis.reader import MixedBlockError, OasisReader
 from metafab.mask.oasis.writer import MAGIC
 from metafab.mask.shapes.hierarchy import Chunk, Hierarchy, IntArray, Other, Part
-from metafab.mask.shapes.known import RECTANGLES, KnownShapes
-from metafab.mask.shapes.recover import DUPLICATE, KEPT, OFF_GRID, OFF_SITE, Leftover, Recovery
+from metafab.mask.shapes.recover import DUPLICATE, KEPT, OFF_GRID, OFF_SITE, RECTANGLES, KnownShapes, Leftover, Recovery
 from metafab.spec import Design
 from metafab.spec.mask import MOST_DATATYPES
 

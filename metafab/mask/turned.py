@@ -18,7 +18,7 @@ from metafab.layout.outlines import IntArray, Outline, canonical_polygon
 from metafab.layout.turned import turned_rectangles, turned_sizes
 from metafab.mask.drawing.copies import biases_dbu, lens_copies
 from metafab.mask.read import ReadBack, read
-from metafab.mask.shapes.known import KnownShapes
+from metafab.mask.shapes.recover import KnownShapes
 from metafab.spec import Design
 
 #: Rows of sites that are numbered anew at a time.

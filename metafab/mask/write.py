@@ -25,8 +25,7 @@ from metafab.mask.drawing.copies import LensCopy
 from metafab.mask.drawing.dose import DOSE_DATATYPES, DOSE_TABLES, datatype_doses, dose_tables
 from metafab.mask.drawing.include import shapes_beside
 from metafab.mask.drawing.stamps import Stamps
-from metafab.mask.gdsii.doses import write_dose_datatypes
-from metafab.mask.gdsii.writer import GdsiiWriter
+from metafab.mask.gdsii.writer import GdsiiWriter, write_dose_datatypes
 from metafab.mask.oasis.writer import OasisWriter
 from metafab.mask.sidecar import MaskFigures, MaskSums, TileCount, layer_properties, sidecar
 from metafab.spec import Design

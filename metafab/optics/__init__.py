@@ -30,12 +30,12 @@ from metafab.optics.interpolation import at_depths, at_tangent
 from metafab.optics.numerics import PsfNumerics
 from metafab.optics.point_spread import Psf
 from metafab.optics.propagation.image import relative_l2 as relative_l2
-from metafab.optics.sources.apodisation import Apodisation as Apodisation
-from metafab.optics.sources.apodisation import apodised as apodised
 from metafab.optics.sources.neighbours import NeighbourField as NeighbourField
 from metafab.optics.sources.neighbours import neighbour_field
+from metafab.optics.sources.source import Apodisation as Apodisation
 from metafab.optics.sources.source import Source as Source
 from metafab.optics.sources.source import WrittenField as WrittenField
+from metafab.optics.sources.source import apodised as apodised
 from metafab.optics.sources.source import (
     ideal_field,
     made_field,
@@ -63,7 +63,7 @@ if not TYPE_CHECKING:
     __getattr__ = further_names(
         __name__,
         {
-            "metafab.information.psf_stacks": "depth_crlb_m point_information twin_depth_information",
+            "metafab.information.fisher": "depth_crlb_m point_information twin_depth_information",
             "metafab.information.texture": "PointSource",
             "metafab.optics.interpolation": "concatenate without_depths",
             "metafab.optics.measures.chain": "Loss Wavefront loss_chain wavefront",

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import POLARISATIONS, FloatArray
-from metafab.core.display import Displayed
-from metafab.core.labelled import dataset
+from metafab.core.display import Displayed, dataset
 
 if TYPE_CHECKING:
     import xarray

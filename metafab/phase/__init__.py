@@ -61,7 +61,7 @@ if not TYPE_CHECKING:
         __name__,
         {
             "metafab.information.texture": "PointSource Texture",
-            "metafab.information.twin_images": "twin_information",
+            "metafab.information.fisher": "twin_information",
             "metafab.phase.build": "require_paintable",
             "metafab.phase.optimise.blind": "BlindDesign BlindInformation",
             "metafab.phase.optimise.peak": "PeakDesign",

@@ -15,7 +15,7 @@ from metafab.core.errors import Fault, InputError
 from metafab.core.figures import PhaseFigures
 from metafab.core.numeric.phasor import phasor
 from metafab.core.parallel.progress import Progress, silent
-from metafab.core.storage.latest import Latest, file_mark
+from metafab.core.storage.files import Latest, file_mark
 from metafab.core.storage.pictures import read_grey
 from metafab.core.storage.tables import applicable
 from metafab.information.texture import Texture

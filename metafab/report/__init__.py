@@ -2,7 +2,6 @@
 
 - ``run_folder``    files of a run, opened; notes for missing files
 - ``accounts``      loss chain, depth against truth
-- ``mask_picture``  a written mask as a grey map and rectangles, in one pass over its tiles
 - ``style``         palette, colour maps, panels, scales
 - ``figures``       figure functions: results and axes in, axes out
 - ``render``        a figure as PNG, or as PNG and SVG in one drawing

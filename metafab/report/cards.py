@@ -18,9 +18,8 @@ from metafab.library import Library
 from metafab.optics import Psf
 from metafab.report.figures.image import depth, intensity, raw_frame
 from metafab.report.figures.library import phase_map, transmittance_map
-from metafab.report.figures.mask import fill_map, pillar_outlines
+from metafab.report.figures.mask import fill_map, picture_of, pillar_outlines
 from metafab.report.figures.psf import pair_over_depth
-from metafab.report.mask_picture import picture_of
 
 #: Resolution of the pictures (dots per inch).
 _DPI = 80

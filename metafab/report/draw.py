@@ -20,7 +20,7 @@ from metafab.optics import Psf
 from metafab.optics.measures.mtf import modulation_transfer
 from metafab.report.accounts import depths_against_truth, loss_chain
 from metafab.report.figures import accounts, exposure, image, library, mask, phases, psf, study
-from metafab.report.mask_picture import picture_of
+from metafab.report.figures.mask import picture_of
 from metafab.report.render import save_both
 from metafab.report.run_folder import RunFolder
 from metafab.report.style import BARS, MAP, PICTURE, PLOT, Margins, depth_text, panel

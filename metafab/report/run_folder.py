@@ -18,7 +18,7 @@ from metafab.core.errors import MetafabError
 from metafab.core.storage.files import file_sha256
 from metafab.core.storage.tables import DAMAGED
 from metafab.decode.image import Image4D
-from metafab.exposure.record import ExposureRecord, load_record
+from metafab.exposure.expose import ExposureRecord, load_record
 from metafab.fullwave.coupling import Coupling, find_coupling
 from metafab.fullwave.patch import Patch
 from metafab.layout.pillars import PillarMap

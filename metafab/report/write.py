@@ -15,7 +15,7 @@ from metafab.core.storage.files import plain, whole_file
 from metafab.report.assets import asset
 from metafab.report.draw import draw
 from metafab.report.run_folder import RunFolder, open_run
-from metafab.report.sections import device, images, light, overview, provenance
+from metafab.report.sections import device, images, light, overview
 from metafab.report.viewers import decoded_view, psf_view
 
 
@@ -48,8 +48,8 @@ def compose(run: RunFolder, drawn: dict[str, str]) -> str:
         device.exposure(run, drawn),
         device.fullwave(run, drawn),
         device.library(run, drawn),
-        provenance.skipped(run),
-        provenance.provenance(run),
+        overview.skipped(run),
+        overview.provenance(run),
     ]
     views: dict[str, Any] = {}
     if run.psf is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from metafab.core.errors import InputError
 from metafab.core.figures import BuildStatistics, CornerStatistics, LineStatistics, Quality
-from metafab.core.storage.latest import Latest, file_mark
+from metafab.core.storage.files import Latest, file_mark
 from metafab.core.storage.tables import optional
 from metafab.spec import Design
 from metafab.steps.job import Job, Step, no_mask, relative_to

@@ -2,8 +2,8 @@
 
 - ``corners``  amplitudes of a mask with another height, index, sidewall or bias, from a few solved cells
 - ``scatter``  random faults of block sums: misplaced and missing pillars, stitched write fields
-- ``study``    :func:`tolerance_table`: all corners and faults against the nominal mask, decoded depth included
-- ``table``    file of the result, ``tolerance.json``
+- ``study``    :func:`tolerance_table`: all corners and faults against the nominal mask, decoded depth included;
+               ``tolerance.json``
 
 In: a :class:`~metafab.optics.WrittenField` with its library, an :class:`~metafab.optics.Imaging` and the tolerances of
 a design. Out: a :class:`ToleranceTable`.
@@ -11,8 +11,7 @@ a design. Out: a :class:`ToleranceTable`.
 
 from metafab.core.figures import ToleranceRow, ToleranceTable
 from metafab.tolerance.corners import CornerField, corner_fields, fields_at
-from metafab.tolerance.study import tolerance_table
-from metafab.tolerance.table import load_tolerance, save_tolerance
+from metafab.tolerance.study import load_tolerance, save_tolerance, tolerance_table
 
 __all__ = [
     "tolerance_table",

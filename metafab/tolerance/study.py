@@ -13,6 +13,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -20,9 +22,10 @@ from threadpoolctl import threadpool_limits
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.figures import ToleranceRow, ToleranceTable
-from metafab.core.numeric.peaks import parabolic_maximum
-from metafab.core.numeric.splines import spline_weights
+from metafab.core.numeric.interpolation import parabolic_maximum, spline_weights
 from metafab.core.parallel.work import Work
+from metafab.core.storage.files import read_json, write_json
+from metafab.core.storage.tables import typed
 from metafab.decode.matching.cost_volume import correlation
 from metafab.library.library import Library
 from metafab.optics.geometry.imaging import Imaging, depth_nodes
@@ -32,8 +35,7 @@ from metafab.optics.numerics import PsfNumerics, require_valid
 from metafab.optics.propagation.blocks import MOST_BLOCKS, reduce_to_target, require_memory
 from metafab.optics.propagation.image import Window, relative_l2
 from metafab.optics.propagation.pupil import Carrier, Pupil, reduce_field
-from metafab.optics.sources.apodisation import Transmission, apodised
-from metafab.optics.sources.source import Source, WrittenField
+from metafab.optics.sources.source import Source, Transmission, WrittenField, apodised
 from metafab.spec.design import Tolerances
 from metafab.tolerance.corners import CornerField, corner_fields
 from metafab.tolerance.scatter import Fault, Misplaced, Missing, Stitched
@@ -55,6 +57,8 @@ _RMS_OVER_DRAWS = ("change", "turn_deg", "depth_error_m")
 _AXIS = (0.0, 0.0)
 #: Shortest distance of a main lobe from the image point, in wavelengths / NA: half of Airy's width at half maximum.
 _ARM = 0.25
+KIND = "metafab tolerance"
+FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -375,3 +379,17 @@ def _fault_row(
         reference = replace(reference, nominal=optics.light(pupils))
     lights = [optics.light(fault(pupils, np.random.default_rng((draw, 1)))) for draw in range(draws)]
     return replace(reference.row(fault.name, lights, float(1.0 / np.sqrt(2.0 * draws))), draws=draws)
+
+
+def save_tolerance(table: ToleranceTable, path: Path, *, mask_sha256: str) -> None:
+    """Write the table with the hash of its mask; NaN becomes null."""
+    write_json(path, {"kind": KIND, "format_version": FORMAT, "mask_sha256": mask_sha256, **vars(table)})
+
+
+def load_tolerance(path: Path) -> tuple[ToleranceTable, str] | None:
+    """Return the table and the hash of its mask; None if the file is missing, damaged or of another kind."""
+    return read_json(path, KIND, FORMAT, _table)
+
+
+def _table(content: dict[str, Any]) -> tuple[ToleranceTable, str]:
+    return typed(ToleranceTable, content), str(content["mask_sha256"])

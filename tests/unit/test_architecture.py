@@ -27,7 +27,7 @@ DOORS = {
     "meep": "cell/meep_worker.py",
     "typer": "cli/",
     "rich": "cli/",
-    "xarray": "core/labelled.py",
+    "xarray": "core/display.py",
 }
 
 #: Most files of a folder ("about a dozen", with its ``__init__``), lines of a file, and names that a face lists.

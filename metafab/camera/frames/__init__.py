@@ -1,7 +1,6 @@
 """Raw frames in memory and in files.
 
-- ``frame``    RawFrame and Truth
-- ``store``    raw.h5
+- ``frame``    RawFrame and Truth, raw.h5
 - ``batch``    frames of many seeds and scenes in one file, for learners
 - ``foreign``  TIFF, PNG and NumPy files of real cameras
 """

@@ -9,8 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from metafab.camera.frames.frame import RawFrame
-from metafab.camera.frames.store import TRUTH_UNITS, put_axes, stored_frame
+from metafab.camera.frames.frame import TRUTH_UNITS, RawFrame, put_axes, stored_frame
 from metafab.core.errors import InputError
 from metafab.core.storage import hdf5
 from metafab.optics import store

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from metafab.camera.frames.frame import RawFrame
-from metafab.camera.frames.store import load
+from metafab.camera.frames.frame import RawFrame, load
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage.files import HDF5_SUFFIXES, whole_file

@@ -18,7 +18,7 @@ from metafab.camera.rendering.render import Piece
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled
-from metafab.core.numeric.splines import spline_weights
+from metafab.core.numeric.interpolation import spline_weights
 from metafab.core.storage.pictures import read_grey
 from metafab.spec.scene import Scene
 

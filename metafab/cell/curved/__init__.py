@@ -4,8 +4,7 @@
 - ``mesh``       a quarter of the cell as quadrilaterals, and the cells that have one
 - ``functions``  the functions of the field, their numbers and their values
 - ``layers``     Jones matrices at one polynomial order
-- ``solve``      adaptive order, and the bound on the error
-- ``diffraction``  efficiencies of single orders
+- ``solve``      adaptive order, the bound on the error, and efficiencies of single orders
 - ``supercell``  layers of unlike pillars in one period
 """
 

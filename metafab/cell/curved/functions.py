@@ -1,7 +1,7 @@
 """Functions of a quarter cell: their numbers over the elements, and their values at quadrature points.
 
 The transverse E is a sum of edge elements (Nedelec) of one polynomial order p, E_z of continuous ones: on each element
-the products of :mod:`metafab.cell.elements.shapes`. Neighbours share the functions of their common side. On mirror
+the products of :mod:`metafab.cell.elements.line`. Neighbours share the functions of their common side. On mirror
 planes at which E is normal, tangential E and E_z vanish: the functions of these sides are left out.
 """
 
@@ -14,7 +14,7 @@ import numpy as np
 from metafab.cell.curved.mesh import QuarterMesh
 from metafab.cell.curved.quads import Point, Quad
 from metafab.cell.elements.basis import Element
-from metafab.cell.elements.shapes import shapes
+from metafab.cell.elements.line import shapes
 from metafab.cell.rcwa.basis.coordinates import IntArray
 from metafab.core.conventions import POLARISATIONS, FloatArray, Polarisation
 

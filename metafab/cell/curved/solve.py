@@ -23,9 +23,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metafab.cell.curved.layers import zero_order
+from metafab.cell.curved.layers import order_efficiencies, zero_order
 from metafab.cell.curved.mesh import quarter_mesh
 from metafab.cell.pillar import PillarCell
+from metafab.cell.rcwa.diffraction import Diffraction, diffracted, propagating_orders
 from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.cell.response import CellNumerics, CellResponse, SolverDetails
 from metafab.core.errors import SolverError
@@ -65,6 +66,8 @@ _UNRESOLVED_GROWTH = 3.0
 _NOT_CONVERGING = 0.1
 #: Coarsest order.
 _COARSE = 3
+#: Least bound on the error of an efficiency over its change from the order before.
+_SHARE = 2.0
 
 
 @dataclass(frozen=True)
@@ -153,3 +156,22 @@ def bound(order: int, changes: list[float], cell: PillarCell) -> float:
     ratio = max(cell.width_nm, cell.length_nm) / min(cell.width_nm, cell.length_nm)
     growth *= min(max(1.0, ratio / _LONG), _LONG_GROWTH)
     return max(growth * floor, growth * implied, 1.0 if changes[-1] > _NOT_CONVERGING or not is_resolved[0] else 0.0)
+
+
+def diffraction(cell: PillarCell, numerics: CellNumerics) -> Diffraction:
+    """Efficiencies of every order that leaves a cell, at the polynomial order that its amplitudes need.
+
+    The cell is one that :func:`metafab.cell.curved.mesh.is_treated` accepts. The change of an efficiency bounds its
+    error as that of an amplitude does. Errors as of :func:`metafab.cell.curved.solve.solve`.
+    """
+    answer = solve(cell, numerics)
+    assert isinstance(answer.details, CurvedDetails)
+    order = answer.details.order
+    sides = [propagating_orders(cell, index) for index in (cell.n_out, cell.n_in)]
+    before, found = (order_efficiencies(cell, each, sides) for each in (order - 1, order))
+    change = float(np.abs(found - before).max())
+    error = max(2.0 * answer.error, _SHARE * change, bound(order, [change], cell))
+    count = len(sides[0])
+    transmitted = diffracted(cell, sides[0], cell.n_out[0], found[:count])
+    reflected = diffracted(cell, sides[1], cell.n_in[0], found[count:])
+    return Diffraction(transmitted, reflected, error, error <= numerics.target_error, order)

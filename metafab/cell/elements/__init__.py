@@ -1,7 +1,6 @@
 """Supercells of upright pillars by spectral elements and plane waves: a Supercell in, its transmitted orders out.
 
-- ``shapes``    polynomials on the side of an element, and their quadrature
-- ``line``      numbering of the functions along one axis, periodic or mirrored
+- ``line``      polynomials on the side of an element, and their numbers along one axis, periodic or mirrored
 - ``mesh``      pillars and gaps as quadrilaterals, and the singular function of a corner
 - ``mirror``    sums of the functions of a row that is its own mirror image
 - ``basis``     the functions, and their values on each element

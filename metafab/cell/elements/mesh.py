@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.cell.elements.shapes import Shapes
+from metafab.cell.elements.line import Shapes
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError

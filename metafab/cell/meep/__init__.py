@@ -6,8 +6,7 @@
 - ``stretched_axes``  stretched axes with every wall on nodes of the grid
 - ``grid``            cell -> job on such axes or on plain ones; recorded fields -> t and r
 - ``shaped``          curved outlines, crosses, sloped walls, films and caps on plain axes
-- ``extrapolation``   limit of vanishing pixels, and its error
-- ``solver``          one cell: PillarCell in, CellResponse out
+- ``solver``          one cell: PillarCell in, CellResponse out; the limit of vanishing pixels, and its error
 - ``supercell``       unlike pillars in one period: Supercell in, SupercellResponse out
 
 The worker program is ``metafab/cell/meep_worker.py``, the only file that imports meep.

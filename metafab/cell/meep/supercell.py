@@ -15,12 +15,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from metafab.cell.meep.extrapolation import richardson
 from metafab.cell.meep.grid import COURANT, Plan, permittivity, smoothed_plan
 from metafab.cell.meep.pool import Pool, own_pool
 from metafab.cell.meep.protocol import Block
 from metafab.cell.meep.shaped import pillar_blocks
-from metafab.cell.meep.solver import refuse_untreated
+from metafab.cell.meep.solver import refuse_untreated, richardson
 from metafab.cell.pillar import PillarCell, Slice
 from metafab.cell.supercell import IntArray, Supercell, SupercellOrders, SupercellResponse, relative_rms
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation

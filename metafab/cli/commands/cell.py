@@ -55,7 +55,7 @@ def cell_command(
     """Solve one unit cell and print its transmission and reflection."""
     from metafab import cell
     from metafab.cell import rcwa
-    from metafab.cell.curved.diffraction import diffraction as curved_diffraction
+    from metafab.cell.curved.solve import diffraction as curved_diffraction
     from metafab.spec import load_unit_cell
 
     spec = load_unit_cell(unit_cell)

@@ -4,6 +4,7 @@
 - ``executor``    executors over processes, threads or a Dask cluster, and streams of results
 - ``cluster``     executor over a Dask cluster, watch over its scheduler and workers
 - ``forked``      short work in forked processes
+- ``processes``   worker processes, which end with their parent
 - ``interrupts``  Ctrl-C and SIGTERM
 - ``progress``    the progress callback
 - ``measure``     time and memory of a block

@@ -4,13 +4,16 @@ A dead worker breaks its pool, and all pieces in flight are lost with it; which 
 first time they all start again in a new pool. A piece that is lost twice goes on alone, in a pool of one worker. A
 piece that is lost there too ends in :class:`metafab.core.errors.WorkerLostError`, which names it.
 
-Workers are forked where that is safe, which saves each a second of imports, and otherwise spawned.
+Workers are forked where that is safe, which saves each a second of imports, and otherwise spawned. They end when their
+parent is gone, however it ended.
 """
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import multiprocessing
+import os
 import signal
 import sys
 import threading
@@ -19,18 +22,47 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from multiprocessing import connection
 from typing import Any, TypeVar
 
 from metafab.core.errors import WorkerLostError
 from metafab.core.parallel.interrupts import held_interrupts
-from metafab.core.parallel.orphans import end_with_forking_thread, end_with_parent
 
+#: Exit code of a worker without its parent.
+_ORPHANED = 3
+_PR_SET_PDEATHSIG = 1
 Result = TypeVar("Result")
 
 #: Losses after which a piece is given up.
 MOST_LOSSES = 3
 #: Largest length of a piece's name in messages (characters).
 _LONGEST_NAME = 160
+
+
+def end_with_parent() -> None:
+    """End this worker process as soon as its parent is gone.
+
+    A daemon thread waits on the pipe that the parent holds open. A process that multiprocessing did not start is left
+    as it is.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_wait_for_end, args=(parent.sentinel,), daemon=True).start()
+
+
+def end_with_forking_thread() -> None:
+    """Let Linux kill this forked worker when the thread that forked it ends; needs no thread of its own."""
+    parent = multiprocessing.parent_process()
+    if parent is None or sys.platform != "linux":
+        return
+    ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != parent.pid:  # It ended before the call.
+        os._exit(_ORPHANED)
+
+
+def _wait_for_end(sentinel: int) -> None:
+    connection.wait([sentinel])
+    os._exit(_ORPHANED)
 
 
 class _Piece(Future[Any]):

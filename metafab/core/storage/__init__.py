@@ -1,10 +1,9 @@
 """Files.
 
-- ``files``         atomic writing, JSON, fingerprints
+- ``files``         atomic writing, JSON, fingerprints, cache of one file
 - ``tables``        conversion of JSON tables to dataclasses
 - ``hdf5``          HDF5 with units, descriptions, provenance and a checksum
 - ``pictures``      reader of grey pictures
-- ``latest``        cache of one entry
 - ``scratch``       arrays in files instead of memory
 - ``provenance``    fingerprints of source code and of named files
 - ``rerun``         answer of a run whose files are unchanged

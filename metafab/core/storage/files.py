@@ -1,4 +1,4 @@
-"""Atomic file writing, JSON, and fingerprints of inputs."""
+"""Atomic file writing, JSON, fingerprints of inputs, and a cache: a file that several steps read is read once."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ import math
 import os
 import re
 import secrets
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from threading import Lock
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -24,6 +25,7 @@ Made = TypeVar("Made")
 
 #: Accepted suffixes of HDF5 files.
 HDF5_SUFFIXES = (".h5", ".hdf5")
+Result = TypeVar("Result")
 
 
 @contextmanager
@@ -139,3 +141,28 @@ def file_sha256(path: Path) -> str:
     """Hexadecimal SHA-256 of a file's bytes."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+class Latest(Generic[Result]):
+    """Thread-safe cache of the latest result. Callers share the result and must not change it."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._held: tuple[Hashable, Result] | None = None
+
+    def of(self, key: Hashable, make: Callable[[], Result]) -> Result:
+        """Return the cached result for ``key``, or make, cache and return a new one."""
+        with self._lock:
+            if self._held is None or self._held[0] != key:
+                self._held = None
+                self._held = (key, make())
+            return self._held[1]
+
+
+def file_mark(path: Path) -> tuple[str, int, int]:
+    """Absolute path, size in bytes and modification time in ns of a file, as a cache key.
+
+    OSError if there is no such file.
+    """
+    found = path.resolve().stat()
+    return str(path.resolve()), found.st_size, found.st_mtime_ns

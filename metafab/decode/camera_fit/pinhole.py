@@ -33,7 +33,7 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
-from metafab.core.numeric.splines import spline_weights
+from metafab.core.numeric.interpolation import spline_weights
 from metafab.core.storage.limits import require_modest_table
 from metafab.decode.camera_fit.point import PointImage, find_point
 from metafab.decode.registration.calibration import stretched

@@ -14,7 +14,7 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.numeric.splines import spline_weights
+from metafab.core.numeric.interpolation import spline_weights
 
 #: Largest distance of an image from its predicted place, pixels.
 _SEARCH_PX = 64

@@ -18,7 +18,7 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import silent
 from metafab.decode.decoder import DecodedFrame, Decoder
-from metafab.decode.evaluation.metrics import evaluated
+from metafab.decode.evaluation import evaluated
 from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
 from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track
 from metafab.decode.image import Image4D

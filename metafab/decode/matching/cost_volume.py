@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
-from metafab.core.numeric.splines import spline_weights
+from metafab.core.numeric.interpolation import spline_weights
 from metafab.decode.matching.pooling import halved, label_sums
 
 #: Depths between two candidates at which products are interpolated pixel by pixel; the nearest one is taken.

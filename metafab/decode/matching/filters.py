@@ -29,8 +29,8 @@ from metafab.decode.matching.mixing import mixed_products
 from metafab.decode.matching.space_variance import compensated
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import Downsampling
+from metafab.information.fisher import twin_information
 from metafab.information.texture import Texture
-from metafab.information.twin_images import twin_information
 
 #: Share of the information about depth that downsampling may lose.
 _NEGLIGIBLE_SHARE = 0.1

@@ -17,7 +17,7 @@ from scipy.sparse import csr_matrix
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.splines import spline_weights
+from metafab.core.numeric.interpolation import spline_weights
 from metafab.decode.registration.tiles import Tiling
 from metafab.decode.registration.twins import TwinGrid
 

@@ -17,7 +17,7 @@ from scipy.ndimage import binary_dilation
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.splines import spline_weights
+from metafab.core.numeric.interpolation import spline_weights
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import spline_peaks, standard_error
 

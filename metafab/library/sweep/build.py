@@ -18,8 +18,7 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.figures import BuildStatistics
 from metafab.core.parallel.executor import SerialExecutor
 from metafab.core.parallel.progress import Progress, silent
-from metafab.library.axes import CornerBox, corner_unit_cell
-from metafab.library.corners import Corners
+from metafab.library.axes import CornerBox, Corners, corner_unit_cell
 from metafab.library.fit.size_grid import SizeGrid
 from metafab.library.library import BuildTime, Library, inputs_of
 from metafab.library.store import is_current, load, save

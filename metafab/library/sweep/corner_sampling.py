@@ -20,8 +20,7 @@ from scipy.spatial import cKDTree
 from metafab.cell import PillarCell
 from metafab.core.conventions import FloatArray
 from metafab.core.figures import CornerStatistics
-from metafab.library.axes import CornerBox, corner_cell
-from metafab.library.corners import Corners
+from metafab.library.axes import CornerBox, Corners, corner_cell
 from metafab.library.fit.models import RankedModels, fit_corner_models
 from metafab.library.fit.rational import Range, RationalModel, Samples
 from metafab.library.fit.size_grid import IndexArray, SizeGrid

@@ -4,7 +4,7 @@
 - ``quality``     phase coverage, transmittance, sensitivity to a bias of sizes
 - ``check``       held-out sizes against a finer or another solver
 - ``amplitudes``  power transmittance, amplitudes normalised to power, Jones matrices of turned pillars
-- ``index_error`` phase error by the uncertainty of the pillar's index
+- ``error_terms`` error by the uncertainty of the pillar's index, and by light from the side
 
 In: a :class:`~metafab.library.library.Library`. Out: a :class:`~metafab.library.use.lookup.SizeTable` for the layout,
 and figures.

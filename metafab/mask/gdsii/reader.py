@@ -23,7 +23,7 @@ from metafab.mask.gdsii import records
 from metafab.mask.gdsii.records import read_real
 from metafab.mask.gdsii.runs import WINDOW, Window, damaged, rectangles_of
 from metafab.mask.shapes.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference
-from metafab.mask.shapes.known import RECTANGLES, KnownShapes
+from metafab.mask.shapes.recover import RECTANGLES, KnownShapes
 
 _SHAPES = {
     records.BOUNDARY: "polygon",

@@ -30,7 +30,7 @@ from metafab.mask.oasis.rectangles import LARGEST_CHUNK, RUN, read_rectangles
 from metafab.mask.oasis.shapes import SHAPES, Modal, read_shape
 from metafab.mask.oasis.writer import CBLOCK, CELL, END, END_BYTES, MAGIC, PLACEMENT, START, XYRELATIVE
 from metafab.mask.shapes.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference, box_of
-from metafab.mask.shapes.known import RECTANGLES, KnownShapes
+from metafab.mask.shapes.recover import RECTANGLES, KnownShapes
 
 _CELL_BY_NUMBER, _XYABSOLUTE, _PLACEMENT_TURNED, _TEXT, _EXTENSION_GEOMETRY = 13, 15, 18, 19, 33
 _PROPERTIES = {28, 29, 32}

@@ -1,6 +1,5 @@
 """Shapes of a mask file, independent of its format.
 
 - ``hierarchy``: cells and references -> a stream of rectangles and other shapes
-- ``known``: pillars among the shapes
-- ``recover``: rectangles -> sizes at lattice sites, and leftovers
+- ``recover``: pillars among the shapes; rectangles -> sizes at lattice sites, and leftovers
 """

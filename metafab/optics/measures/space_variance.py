@@ -13,8 +13,7 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.figures import SpaceVariance
-from metafab.core.numeric.peaks import parabolic_maximum
-from metafab.core.numeric.splines import spline_weights
+from metafab.core.numeric.interpolation import parabolic_maximum, spline_weights
 from metafab.optics.geometry.imaging import Imaging, Tangent
 from metafab.optics.geometry.path import Ray
 from metafab.optics.point_spread import Psf

@@ -13,8 +13,7 @@ from scipy.spatial import cKDTree
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.layout.pillars import PillarMap
-from metafab.layout.resized import resized
+from metafab.layout.pillars import PillarMap, resized
 from metafab.library import Library
 from metafab.mask.measured import read_measured
 

@@ -17,8 +17,8 @@ from threadpoolctl import threadpool_limits
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric.phasor import phasor
 from metafab.core.parallel.progress import Progress, silent
+from metafab.information.fisher import conjugate_information
 from metafab.information.texture import Texture
-from metafab.information.twin_images import conjugate_information
 from metafab.phase.pupil import NyquistImages, Pupil, nyquist_scale
 from metafab.phase.terms.sampled import SampledMask
 

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.figures import Remedy
+from metafab.information.fisher import conjugate_information
 from metafab.information.texture import Texture
-from metafab.information.twin_images import conjugate_information
 from metafab.phase.optimise.blind import BlindInformation
 from metafab.phase.pupil import Pupil, rim_defocus_per_dioptre_rad
 

@@ -2,7 +2,7 @@
 
 Two sources: a point of known position and brightness, and a patch of unknown texture. A lens and a double helix locate
 the point, but give no information about the texture: the two images of their pair are equal, or equal up to a constant
-mirror. The optics room computes the same bounds for a written mask (:mod:`metafab.information.psf_stacks`).
+mirror. The optics room computes the same bounds for a written mask (:mod:`metafab.information.fisher`).
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from scipy import fft
 
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
 from metafab.core.numeric.phasor import phasor
+from metafab.information.fisher import twin_information
 from metafab.information.texture import PointSource, Texture
-from metafab.information.twin_images import twin_information
 from metafab.phase.pupil import NyquistImages, Pupil, pupil_field, rim_defocus_per_dioptre_rad, rim_defocus_rad
 from metafab.phase.terms.helices import DoubleHelixPhase, SpiralZonesPhase
 from metafab.phase.terms.profile import Term

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import InputError
-from metafab.core.numeric.bilinear import bilinear_on_grid
+from metafab.core.numeric.interpolation import bilinear_on_grid
 from metafab.core.numeric.phasor import phasor
 from metafab.core.storage import hdf5, pictures
 from metafab.phase.pupil import Pupil

@@ -16,11 +16,14 @@ from metafab.spec.terms import Grating, PhaseTerm
 from metafab.steps.layout import LayoutFigures
 from metafab.steps.optics.lights import LightFigures, LightsFigures
 from metafab.steps.optics.merit import MeritFigures
+from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, Saving
 
 #: Mean relative depth error below which the headline is marked as good.
 _GOOD_DEPTH_ERROR = 0.01
 #: Most lights whose figures are listed one by one.
 _LISTED_LIGHTS = 3
+#: Files that grow or change after the page is written: their sizes would make two pages of one run differ.
+_LATER = {"report.html", "steps.json", SUMMARY_FILE}
 
 
 def headlines(run: RunFolder) -> str:
@@ -160,4 +163,54 @@ def accounts(run: RunFolder, drawn: Drawn) -> str:
         html.table(["source", "error", "unit", "measurement"], rows, ["", "n"], "stack")
         if rows
         else html.note("summary.json holds no error budget"),
+    )
+
+
+def skipped(run: RunFolder) -> str:
+    """Steps that the design does not need, and work that the others left out.
+
+    Times and memory stand in ``summary.json`` alone, so that equal runs give equal pages.
+    """
+    steps = [[escape(entry.step), html.prose(entry.why)] for entry in run.summary.skipped if entry.why != UNCHANGED]
+    savings = [_saving(entry) for entry in run.summary.saved]
+    unneeded = html.note("the design needs every step")
+    if steps:
+        unneeded = html.table(["skipped step", "reason"], steps, kind="stack")
+    head = ["step", "pieces of work", "computed", "of", "safe because", "error"]
+    return html.section(
+        "skipped",
+        "Skipped work",
+        unneeded,
+        html.table(head, savings, ["", "", "n", "n", "", ""]) if savings else "",
+    )
+
+
+def _saving(entry: Saving) -> list[str]:
+    """Row of a saving."""
+    of = "any" if entry.of is None else html.number(entry.of)
+    error = "none" if entry.error_of is None else "not measured"
+    if entry.error is not None and entry.error_of is not None:
+        error = f"{html.number(entry.error, 2)} ({escape(entry.error_of)})"
+    return [entry.step, entry.what, html.number(entry.computed), of, html.prose(entry.why), error]
+
+
+def provenance(run: RunFolder) -> str:
+    """Versions, files and design of the run."""
+    versions = "\u2002".join(f"{escape(name)}\u00a0{escape(version)}" for name, version in run.summary.versions.items())
+    files = sorted(p for p in run.path.iterdir() if p.is_file() and not p.name.startswith("."))
+    rows = [
+        [f'<a href="{escape(p.name)}">{escape(p.name)}</a>', html.number(p.stat().st_size)]
+        for p in files
+        if p.name not in _LATER
+    ]
+    design = ""
+    if (run.path / "design.toml") in files:
+        text = (run.path / "design.toml").read_text(encoding="utf-8")
+        design = f"<details><summary>design.toml</summary><pre>{escape(text)}</pre></details>"
+    return html.section(
+        "provenance",
+        "Provenance",
+        html.paragraph(versions) if versions else html.note("summary.json holds no versions"),
+        html.table(["file of this run", "bytes"], rows, ["", "n"]) if rows else "",
+        design,
     )

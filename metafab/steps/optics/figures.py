@@ -114,7 +114,7 @@ class PsfFigures(PairFigures):
     #: True where the library's model of unlike neighbours gave the light of the pillars, else None.
     with_neighbours: bool | None = optional()
     #: Relative rms change of the pillars' light from the corner of the field, which comes at an angle; None without a
-    #: field, and where it was not solved (:func:`metafab.library.use.oblique_error.oblique_field_error`).
+    #: field, and where it was not solved (:func:`metafab.library.use.error_terms.oblique_field_error`).
     oblique_error: float | None = optional()
 
     @classmethod

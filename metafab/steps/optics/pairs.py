@@ -277,7 +277,7 @@ def _psf(job: Job) -> PsfFigures:
 
 def _oblique_error(job: Job, pillars: PillarMap) -> float | None:
     """Change of the pillars' light from the corner of the field; None without a field."""
-    from metafab.library.use.oblique_error import oblique_field_error
+    from metafab.library.use.error_terms import oblique_field_error
     from metafab.optics.geometry.imaging import Imaging, field_corner
 
     corner = field_corner(job.design, Imaging.of(job.design))

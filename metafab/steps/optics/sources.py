@@ -10,8 +10,7 @@ from collections.abc import Hashable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from metafab.core.storage.files import fingerprint
-from metafab.core.storage.latest import Latest, file_mark
+from metafab.core.storage.files import Latest, file_mark, fingerprint
 from metafab.steps.exposure import Printed, made_mask
 from metafab.steps.job import Job
 from metafab.steps.library import library_path, open_library

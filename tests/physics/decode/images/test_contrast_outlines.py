@@ -8,7 +8,7 @@ import numpy as np
 
 from metafab.camera import capture
 from metafab.decode import FAST, DecoderNumerics, decode
-from metafab.decode.evaluation.metrics import overlap
+from metafab.decode.evaluation import overlap
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 

@@ -8,7 +8,7 @@ import pytest
 from metafab.camera import RawFrame, capture
 from metafab.core.conventions import FloatArray
 from metafab.decode import Decoder
-from metafab.decode.evaluation.metrics import overlap
+from metafab.decode.evaluation import overlap
 from metafab.decode.segmentation.fit import surface_per_m
 from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
 from metafab.spec import Scene

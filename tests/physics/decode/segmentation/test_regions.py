@@ -8,7 +8,7 @@ import pytest
 from metafab.camera import capture, draws
 from metafab.core.parallel.progress import silent
 from metafab.decode import Decoder, decode
-from metafab.decode.evaluation.metrics import overlap
+from metafab.decode.evaluation import overlap
 from metafab.decode.segmentation.planes import Cells, Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import measured_depth, without_bright_light

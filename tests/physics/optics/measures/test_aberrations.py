@@ -14,7 +14,7 @@ from metafab.core.figures import AberrationFigures
 from metafab.layout.pillars import Lattice
 from metafab.optics import Imaging, ideal_field
 from metafab.optics.measures.aberrations import aberrations
-from metafab.optics.sources.apodisation import apodised
+from metafab.optics.sources.source import apodised
 from metafab.phase.terms.carriers import LensPhase
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.phase.terms.zernike import ZernikePhase, zernike_number

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from metafab.information.psf_stacks import depth_crlb_m, point_information, twin_depth_information
+from metafab.information.fisher import depth_crlb_m, point_information, twin_depth_information
 from metafab.information.texture import PointSource, Texture
 from metafab.phase import Pupil, compare_masks
 from metafab.phase.pupil import rim_defocus_rad

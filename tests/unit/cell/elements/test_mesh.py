@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from metafab.cell.elements.basis import basis_of, elements_of
-from metafab.cell.elements.line import mirrored_line, periodic_line
+from metafab.cell.elements.line import graded_quadrature, mirrored_line, periodic_line, shapes
 from metafab.cell.elements.mesh import mesh_of, singular_exponent
-from metafab.cell.elements.shapes import graded_quadrature, shapes
 from metafab.cell.supercell import Supercell
 from metafab.core.errors import InputError
 from tests.paper_cell import EMPTY

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import h5py
@@ -10,7 +11,7 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.core.storage import hdf5
-from metafab.core.storage.files import file_sha256, fingerprint, whole_file, write_json
+from metafab.core.storage.files import Latest, file_mark, file_sha256, fingerprint, whole_file, write_json
 
 
 def test_an_interrupted_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
@@ -92,3 +93,43 @@ def test_unusable_hdf5_is_refused_with_what_to_do(tmp_path: Path, damage: str) -
         hdf5.open_kind(path, kind="metafab test", format_version=1, remedy="make it again"),
     ):
         pass
+
+
+def test_the_same_key_gives_the_same_object_and_another_takes_its_place() -> None:
+    held: Latest[list[int]] = Latest()
+    made: list[int] = []
+
+    def make(number: int) -> list[int]:
+        made.append(number)
+        return [number]
+
+    first = held.of(("a", 1), lambda: make(1))
+    assert held.of(("a", 1), lambda: make(2)) is first
+    assert held.of(("b", 1), lambda: make(3)) == [3]
+    assert held.of(("a", 1), lambda: make(4)) == [4]
+    assert made == [1, 3, 4]
+
+
+def test_what_fails_is_not_held_and_leaves_nothing_of_the_one_before() -> None:
+    held: Latest[float] = Latest()
+    assert held.of(1, lambda: 10) == 10
+    with pytest.raises(ZeroDivisionError):
+        held.of(2, lambda: 1 / 0)
+    assert held.of(2, lambda: 20) == 20
+    assert held.of(1, lambda: 11) == 11
+
+
+def test_a_mark_tells_another_content_size_or_place(tmp_path: Path) -> None:
+    path, link = tmp_path / "mask.oas", tmp_path / "link.oas"
+    path.write_bytes(b"abc")
+    link.symlink_to(path)
+    mark = file_mark(path)
+    assert file_mark(link) == mark
+    path.write_bytes(b"abcd")
+    os.utime(path, ns=(mark[2], mark[2]))
+    assert file_mark(path) != mark
+    path.write_bytes(b"abd")
+    os.utime(path, ns=(mark[2] + 1, mark[2] + 1))
+    assert file_mark(path) != mark
+    with pytest.raises(OSError, match="gone"):
+        file_mark(tmp_path / "gone.oas")

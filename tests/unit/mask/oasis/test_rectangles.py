@@ -15,7 +15,7 @@ from metafab.mask.oasis.reader import OasisReader
 from metafab.mask.oasis.records import RECTANGLE
 from metafab.mask.oasis.writer import CELL, END, MAGIC, START
 from metafab.mask.shapes.hierarchy import IntArray
-from metafab.mask.shapes.known import KnownShapes, rectangle_of
+from metafab.mask.shapes.recover import KnownShapes, rectangle_of
 
 Step = tuple[int, int]
 

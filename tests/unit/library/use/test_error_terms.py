@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import qmc
 
-from metafab.library.use.index_error import halton
+from metafab.library.use.error_terms import halton
 
 
 def test_halton_points_are_scipys() -> None:

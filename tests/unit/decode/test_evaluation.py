@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metafab.decode.evaluation.metrics import structural_similarity
+from metafab.decode.evaluation import structural_similarity
 
 
 def test_structural_similarity_against_its_closed_forms() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from metafab.cell import CellNumerics, PillarCell, rcwa
-from metafab.cell.curved.diffraction import diffraction
+from metafab.cell.curved.solve import diffraction
 from metafab.cell.rcwa.diffraction import Diffraction
 
 #: Lossless circles whose first orders open on both sides.

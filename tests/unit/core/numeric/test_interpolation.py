@@ -1,15 +1,25 @@
-"""Bilinear interpolation on a centred grid against SciPy's, and outside the grid."""
+"""Weights of interpolating splines."""
 
 from __future__ import annotations
 
 import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
-from metafab.core.numeric.bilinear import bilinear_on_grid
+from metafab.core.numeric.interpolation import bilinear_on_grid, spline_weights
 
 RNG = np.random.default_rng(1)
 SAMPLES = RNG.normal(size=(5, 8)) + 1j * RNG.normal(size=(5, 8))
 ROWS, COLUMNS = np.arange(5) - 2.0, np.arange(8) - 3.5
+
+
+@given(st.integers(1, 9), st.floats(-2.0, 2.0))
+def test_spline_weights_sum_to_one_and_interpolate(count: int, at: float) -> None:
+    nodes = np.sort(np.cos(np.arange(count) * 1.3)) if count > 1 else np.zeros(1)
+    assert spline_weights(nodes, at).sum() == pytest.approx(1.0, abs=1e-9)
+    assert spline_weights(nodes, nodes) == pytest.approx(np.eye(count), abs=1e-9)
 
 
 def test_it_agrees_with_scipy_inside_the_grid() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.information.psf_stacks import point_information, twin_depth_information
+from metafab.information.fisher import point_information, twin_depth_information
 from metafab.information.texture import PointSource, Texture
 from metafab.phase import DoubleHelixPhase, Pupil, optimise_peak
 from metafab.phase.pupil import FocalPlane, pupil_field, rim_defocus_rad

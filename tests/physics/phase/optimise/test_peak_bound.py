@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from metafab.phase import Pupil, optimise_peak
-from metafab.phase.optimise.bound import peak_bound
-from metafab.phase.optimise.peak import PeakDesign
+from metafab.phase.optimise.peak import PeakDesign, peak_bound
 
 COARSE = Pupil(64)
 

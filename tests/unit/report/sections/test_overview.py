@@ -7,7 +7,7 @@ from pathlib import Path
 
 from metafab.library import Library
 from metafab.report.run_folder import RunFolder
-from metafab.report.sections.provenance import provenance, skipped
+from metafab.report.sections.overview import provenance, skipped
 from metafab.steps.summary import UNCHANGED, Saving, SkippedStep
 from tests.closed_form_run import closed_form_run
 

@@ -9,7 +9,7 @@ import pytest
 
 from metafab.layout.outlines import Outline
 from metafab.layout.pillars import Lattice, PillarMap
-from metafab.report.mask_picture import picture_of
+from metafab.report.figures.mask import picture_of
 from tests.closed_form_run import pillar_map
 
 

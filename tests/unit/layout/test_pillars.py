@@ -6,7 +6,7 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.layout import Lattice, PillarMap
-from metafab.layout.resized import bands, resized
+from metafab.layout.pillars import bands, resized
 
 
 def lens(shape: tuple[int, int] = (600, 40)) -> PillarMap:

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from metafab.camera import RawFrame, capture, film
+from metafab.camera.capture import FixedPattern, expose
 from metafab.camera.rendering.motion import Shutter
-from metafab.camera.sensor import FixedPattern, expose
 from metafab.core.conventions import FloatArray
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
