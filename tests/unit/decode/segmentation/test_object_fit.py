@@ -32,10 +32,10 @@ def test_slopes_of_the_determinant_are_those_of_the_dense_matrix(monkeypatch: py
     unknowns = np.array([-math.log(0.0029), n / 2, n / 2, 3.0, 3.0, 1.0, 1.0, 1.0, 1.0])
 
     def half_determinant(log_vergence: float) -> float:
-        scene = object_fit._Scene.of(window, np.array([log_vergence, *unknowns[1:]]))
+        scene = object_fit._Scene.of(window, object_fit._Depth.of(window, log_vergence), unknowns)
         points = np.zeros((2 * n * n, 2, n, n), dtype=np.float32)
         points.reshape(2 * n * n, -1)[np.arange(2 * n * n), np.arange(2 * n * n)] = 1.0
-        images = np.stack([window.weight * scene.textured(window.spectra(one)) for one in points])
+        images = window.weight * scene.textured(window.spectra(points))
         flat = images.reshape(len(images), -1).astype(np.float64)
         return 0.5 * float(np.linalg.slogdet(np.eye(len(flat)) + flat @ flat.T)[1])
 
