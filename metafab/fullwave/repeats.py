@@ -74,7 +74,8 @@ def measure_orders(
         return OrdersFigures(reason=str(error.faults[0]))
     shape = f"{repeat[1]} x {repeat[0]} pillars"
     if (count := min(len(supercells), int(limit_s / seconds))) < min(len(supercells), 2):
-        return OrdersFigures(reason=f"each repeat of {shape} takes about {seconds / 60.0:.2g} min of processor time")
+        text = f"each repeat of {shape} takes about {seconds / 60.0:.2g} min of processor time"
+        return OrdersFigures(reason=f"{text}; `metafab coupling` solves single rows")
     chosen = np.unique(np.linspace(0, len(supercells) - 1, count).round().astype(int))
     found = []
     for done, each in enumerate(

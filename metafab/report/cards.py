@@ -38,7 +38,8 @@ def picture(result: object) -> str:
 
 
 def _row(count: int, width_in: float = 3.6, height_in: float = 3.0) -> tuple[Figure, list[Axes]]:
-    figure = Figure(figsize=(width_in * count, height_in), dpi=_DPI, layout="constrained")
+    figure = Figure(figsize=(width_in * count, height_in), dpi=_DPI)
+    figure.set_layout_engine("constrained", wspace=0.1)  # a colour bar's label stands clear of its neighbour's
     return figure, [figure.add_subplot(1, count, place + 1) for place in range(count)]
 
 

@@ -119,7 +119,7 @@ def _library(run: RunFolder) -> Iterator[Plan]:
 
 def _design(run: RunFolder) -> Iterator[Plan]:
     if run.phases is not None and run.phases.vary:
-        content = "Spiral zones" if "spiral_zones" in run.outline.terms else "Without lens and split"
+        content = "Spiral zones" if "spiral_zones" in run.outline.terms else f"Without {run.outline.carriers}"
         for row, p in enumerate(POLARISATIONS):
             paint = partial(
                 phases.aperture_phase,

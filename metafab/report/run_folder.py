@@ -34,6 +34,8 @@ Loaded = TypeVar("Loaded")
 
 #: Mask files, the smaller format first.
 _MASK_FILES = ("layout.oas", "layout.gds")
+#: Terms that focus or deflect.
+_CARRIERS = ("lens", "split_lens", "grating", "axicon")
 
 
 @dataclass(frozen=True)
@@ -89,6 +91,17 @@ class DesignOutline:
             return depth_m == math.inf
         rim_um = self.aperture_um**2 / (8e6 * depth_m)
         return rim_um < 1e-5 * self.wavelength_nm
+
+    @property
+    def carriers(self) -> str:
+        """Names of the terms that focus or deflect, which the drawn phases leave out."""
+        names = [term.replace("_", " ") for term in self.terms if term in _CARRIERS]
+        return " and ".join(dict.fromkeys(names)) or "lens, split and gratings"
+
+    @property
+    def focuses(self) -> bool:
+        """Whether the focal length is that of a lens, not the distance of the sensor alone; assumed if unknown."""
+        return not self.terms or not {"lens", "split_lens", "radial"}.isdisjoint(self.terms)
 
     @property
     def forms_images(self) -> bool:

@@ -23,6 +23,9 @@ DEEPEST = 100
 
 _ORIGIN = np.zeros(2, dtype=np.int64)
 
+#: Cell in which KLayout, and with it gdsfactory, keeps notes on the other cells.
+_CONTEXT = "$$$CONTEXT_INFO$$$"
+
 
 @dataclass(frozen=True)
 class Other:
@@ -104,7 +107,7 @@ class Hierarchy:
         source: the file, for messages.
 
     Attributes:
-        tops: names of the cells that no other cell places.
+        tops: names of the cells that no other cell places, without KLayout's cell of notes.
 
     Raises:
         InputError: a referenced cell is missing, cells contain one another or nest too deeply, or there is no cell.
@@ -120,7 +123,7 @@ class Hierarchy:
                     expected, got = "references to cells of the file", f"one to {reference.cell!r}"
                     remedy = "the file is incomplete: write it again"
                     raise InputError.single(source, f"cell {name}", expected, got, remedy)
-        self.tops = tuple(name for name in cells if name not in placed)
+        self.tops = tuple(name for name in cells if name not in placed and name != _CONTEXT)
         if not self.tops:
             got = "cells that contain one another" if cells else "no cell"
             raise InputError.single(source, "cells", "a top cell", got, "write the mask again")

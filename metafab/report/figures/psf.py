@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from metafab.core.conventions import POLARISATIONS, FloatArray, Polarisation
@@ -98,6 +99,7 @@ def orientation(psf: Psf, axes: Axes, ideal: Psf | None = None) -> Axes:
     # A range of at least two degrees, so that a pair without rotation is a level line.
     low, high = axes.get_ylim()
     axes.set_ylim(min(low, 0.5 * (low + high) - 1.0), max(high, 0.5 * (low + high) + 1.0))
+    axes.yaxis.set_major_locator(MaxNLocator(6, integer=True))  # labels of tenths would run into the axis label
     return finished(axes)
 
 

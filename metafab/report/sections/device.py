@@ -50,7 +50,7 @@ def _flat(run: RunFolder) -> str:
     """Note where no phases are drawn."""
     if run.phases is None:
         return html.note(run.notes.get("phases", "no phases"))
-    return "" if run.phases.vary else html.note("the target is the phase of lens, split and gratings alone")
+    return "" if run.phases.vary else html.note(f"the target is the phase of the {run.outline.carriers} alone")
 
 
 def _filter(run: RunFolder, drawn: Drawn) -> str:

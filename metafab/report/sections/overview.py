@@ -46,11 +46,8 @@ def headlines(run: RunFolder) -> str:
     if summary.lights is not None and run.outline.forms_images:
         items += _lights(summary.lights, summary.layout)
     elif summary.merit is not None and run.outline.forms_images and nmae is None and not solved:
-        items += _focus(summary.merit)
+        items += _focus(summary.merit, None if summary.orders is None else summary.orders.efficiency_ratio)
     terms = () if run.design is None else run.design.phase
-    if summary.orders is not None and summary.orders.efficiency_ratio is not None:
-        text = "of the light of lone pillars in the focus, by full wave of rows of unlike neighbours"
-        items.append(html.headline(f"{100 * summary.orders.efficiency_ratio:.0f}\u202f%", text))
     if summary.layout is not None and not solved and terms and all(isinstance(term, Grating) for term in terms):
         items.append(html.headline(f"{100 * summary.layout.efficiency:.0f}\u202f%", _orders(terms)))
     if summary.layout is not None:
@@ -112,10 +109,13 @@ def _labels(lights: Sequence[LightFigures | LightMapping]) -> str:
     return "; ".join(light_label(light.wavelength_nm, light.angle_x_deg, light.angle_y_deg) for light in lights)
 
 
-def _focus(merit: MeritFigures) -> list[str]:
-    """Efficiency of a lens, and its focus beside the limit."""
-    efficiency = 0.5 * (merit.pinhole_efficiency_x[0] + merit.pinhole_efficiency_y[0])
-    items = [html.headline(f"{100 * efficiency:.0f}\u202f%", f"of the light in a pinhole of {merit.pinhole_um:.3g} µm")]
+def _focus(merit: MeritFigures, among_neighbours: float | None) -> list[str]:
+    """Efficiency of a lens, times the share that full-wave rows leave of lone pillars' light, and its focus."""
+    lone = 0.5 * (merit.pinhole_efficiency_x[0] + merit.pinhole_efficiency_y[0])
+    text = f"of the light in a pinhole of {merit.pinhole_um:.3g} µm"
+    if among_neighbours is not None:
+        text += f", by full wave of rows of unlike neighbours (lone pillars: {100 * lone:.0f}\u202f%)"
+    items = [html.headline(f"{100 * lone * (among_neighbours or 1.0):.0f}\u202f%", text)]
     if merit.focus is not None:
         width_um = 0.5 * (merit.focus.fwhm_x_um + merit.focus.fwhm_y_um)
         items.append(html.headline(f"{merit.focus.strehl:.3f}", "Strehl ratio"))
@@ -132,7 +132,7 @@ def subtitle(run: RunFolder) -> str:
         size = f"{aperture / 1000:g} mm" if aperture >= 1000 else f"{aperture:g} µm"
         parts.append(f"{size} {outline.aperture_shape}")
     if outline.focal_length_mm is not None:
-        parts.append(f"focal length {outline.focal_length_mm:g} mm")
+        parts.append(f"{'focal length' if outline.focuses else 'sensor at'} {outline.focal_length_mm:.6g} mm")
     if outline.lights:
         parts.append("; ".join(outline.lights))
     elif outline.wavelength_nm is not None:

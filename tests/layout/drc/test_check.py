@@ -96,6 +96,19 @@ def test_a_file_without_pillars_is_refused_where_no_lattice_misses_them(
         drc.check(path, tiny_design, engine=engine)
 
 
+def test_notes_of_klayout_are_no_top_cell(tiny_design: Design, tmp_path: Path) -> None:
+    """As gdsfactory writes its chips."""
+
+    def draw(drawn: kdb.Layout, _: kdb.Cell, shapes: kdb.Shapes) -> None:
+        shapes.insert(kdb.Box(0, 0, 300, 300))
+        drawn.add_meta_info(kdb.LayoutMetaInfo("author", "gdsfactory", persisted=True))
+
+    path = _written(tmp_path / "chip.gds", draw)
+    assert b"$$$CONTEXT_INFO$$$" in path.read_bytes()
+    for engine in ENGINES:
+        assert drc.check(path, tiny_design, engine=engine, work=Work(1)).pillars == 1, engine
+
+
 @pytest.mark.parametrize("engine", ENGINES)
 def test_two_top_cells_are_refused(engine: str, tiny_design: Design, tmp_path: Path) -> None:
     def draw(drawn: kdb.Layout, _: kdb.Cell, shapes: kdb.Shapes) -> None:

@@ -206,7 +206,7 @@ def test_a_flat_phase_is_said_rather_than_drawn(full_run: RunFolder, ripple_rad:
     plain = replace(full_run, phases=AperturePhases(np.where(np.eye(8) > 0.0, np.nan, step), 17.5))
     drawn = draw(plain, silent)
     assert ("phase_x" in drawn) == shown
-    assert ("phase of lens, split and gratings alone" in compose(plain, drawn)) != shown
+    assert ("the target is the phase of the split lens alone" in compose(plain, drawn)) != shown
 
 
 def test_a_maximum_on_the_image_point_has_no_direction() -> None:

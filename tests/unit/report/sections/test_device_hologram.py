@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from metafab.core.figures import FocusFigures, LightMapping, PhaseFigures
+from metafab.core.figures import FocusFigures, LightMapping, OrdersFigures, PhaseFigures
 from metafab.core.parallel.progress import silent
 from metafab.library.library import Library
 from metafab.report.draw import draw
@@ -22,7 +22,7 @@ from metafab.report.run_folder import DesignOutline, RunFolder
 from metafab.report.sections.device import phases
 from metafab.report.sections.images import imaging
 from metafab.report.sections.light import point_spread
-from metafab.report.sections.overview import accounts, headlines
+from metafab.report.sections.overview import accounts, headlines, subtitle
 from metafab.spec import load_design, write_new
 from metafab.steps.optics import PairFigures
 from metafab.steps.optics.lights import LightFigures, LightsFigures
@@ -65,6 +65,11 @@ def test_a_deflectors_headline_is_the_share_of_its_order(run: RunFolder, tmp_pat
         dataclasses.replace(run, design=design)
     )
     assert "wanted order" not in headlines(run)
+    bare = DesignOutline(focal_length_mm=0.5, terms=("grating",))
+    assert "sensor at 0.5 mm" in subtitle(dataclasses.replace(run, outline=bare))
+    assert "focal length 0.5 mm" in subtitle(
+        dataclasses.replace(run, outline=dataclasses.replace(bare, terms=("lens", "array")))
+    )
 
 
 def test_a_focus_without_a_width_has_none_in_the_headline(run: RunFolder) -> None:
@@ -79,6 +84,11 @@ def test_a_focus_without_a_width_has_none_in_the_headline(run: RunFolder) -> Non
     summary = dataclasses.replace(run.summary, merit=cast(MeritFigures, merit), decode=None, phase=None)
     own = dataclasses.replace(run, summary=summary, outline=dataclasses.replace(run.outline, terms=("lens", "array")))
     assert "0.020" in headlines(own) and "nan" not in headlines(own)
+    assert "20\u202f%</b><span>of the light in a pinhole" in headlines(own)
+    # Of a steep lens, the light that its rows leave.
+    rows = OrdersFigures(windows=6, coupling_error=0.35, efficiency_ratio=0.7)
+    steep = headlines(dataclasses.replace(own, summary=dataclasses.replace(summary, orders=rows)))
+    assert "14\u202f%</b>" in steep and "(lone pillars: 20\u202f%)" in steep
 
 
 def test_a_mask_for_several_lights_has_its_figures_in_each_of_them(run: RunFolder) -> None:
