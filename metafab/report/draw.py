@@ -119,14 +119,18 @@ def _library(run: RunFolder) -> Iterator[Plan]:
 
 def _design(run: RunFolder) -> Iterator[Plan]:
     if run.phases is not None and run.phases.vary:
-        content = "Spiral zones" if "spiral_zones" in run.outline.terms else f"Without {run.outline.carriers}"
+        content = (
+            "Spiral zones"
+            if "spiral_zones" in run.outline.terms
+            else run.outline.carriers and f"Without {run.outline.carriers}"
+        )
         for row, p in enumerate(POLARISATIONS):
             paint = partial(
                 phases.aperture_phase,
                 run.phases.phase_rad[row],
                 run.phases.half_side_um,
                 polarisation=p,
-                title=f"{content}, {p} polarisation",
+                title=f"{content or 'Target phase'}, {p} polarisation",
             )
             yield Plan(f"phase_{p}", f"Target phase over the aperture, {p} polarisation", paint, (4.0, 3.4), PICTURE)
     if run.pillars is None:
@@ -237,7 +241,7 @@ def _light(run: RunFolder) -> Iterator[Plan]:
     for front in (merit and merit.aberrations) or ():
         paint = partial(psf.wavefront_map, front)
         yield Plan(f"wavefront_{front.polarisation}", "Wavefront error over the aperture", paint, (4.0, 3.4), PICTURE)
-    if run.outline.forms_images:
+    if run.forms_images:
         yield _modulation(pair, merit, run.psf_source)
     space = None if merit is None else merit.space_variance
     if space is not None and space.tangent_x.size > 1:

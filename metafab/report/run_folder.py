@@ -96,7 +96,7 @@ class DesignOutline:
     def carriers(self) -> str:
         """Names of the terms that focus or deflect, which the drawn phases leave out."""
         names = [term.replace("_", " ") for term in self.terms if term in _CARRIERS]
-        return " and ".join(dict.fromkeys(names)) or "lens, split and gratings"
+        return " and ".join(dict.fromkeys(names))
 
     @property
     def focuses(self) -> bool:
@@ -149,6 +149,11 @@ class RunFolder:
     def has_lobe(self) -> bool:
         """Whether the maximum of a PSF is a lobe beside the image point, seen as a whole."""
         return self.outline.has_lobe and (self.summary.psf is None or self.summary.psf.is_whole)
+
+    @property
+    def forms_images(self) -> bool:
+        """Whether the device is made to image points; a mask that repeats, by a phase of its own, is not."""
+        return self.outline.forms_images and (self.summary.orders is None or self.summary.orders.sites is None)
 
     @property
     def psf_source(self) -> str:

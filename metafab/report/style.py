@@ -58,8 +58,8 @@ PHASE_TICKS: Ticks = ((-math.pi, 0.0, math.pi), ("−π", "0", "π"))
 PLOT: Margins = (0.74, 0.22, 0.52, 0.36)
 MAP: Margins = (0.74, 0.98, 0.52, 0.36)
 PICTURE: Margins = (0.10, 0.86, 0.10, 0.36)
-#: Margins of bars under their names, with room for values at their ends.
-BARS: Margins = (0.10, 1.15, 0.52, 0.42)
+#: Margins of bars under their names, with room for values at their ends and half a label of the first tick.
+BARS: Margins = (0.26, 1.15, 0.52, 0.42)
 
 
 def panel(size_in: tuple[float, float] = (4.0, 3.1), margins_in: Margins = PLOT) -> tuple[Figure, Axes]:

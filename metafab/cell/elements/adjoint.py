@@ -133,14 +133,17 @@ class _Adjoint:
         self._of_e = -solved.inverse @ p_bar @ solved.inverse
         self._of_z: Matrix = solved.lifted.T @ p_bar @ solved.lifted / k0**2
         # Fields of the plane waves at both faces, each the partner of a field of the layer.
-        self._faces: list[tuple[ComplexArray, tuple[ComplexArray, ComplexArray, ComplexArray]]] = []
+        partners, amplitudes = [], []
         for n, pair in ((cell.n_in[axis], (near, near_m)), (cell.n_out[axis], (far, far_m))):
             eps = complex(permittivity(n))
             tm, te = layer.weights(eps, k0)
             for one, other in (pair, pair[::-1]):
                 waves = (tm * (layer.tm.overlap @ one), te * (layer.te.overlap @ one))
                 uniform = np.sqrt(eps) * (layer.uniform @ one)
-                self._faces.append((other, (-2.0 * waves[0], -2.0 * waves[1], -2.0 * uniform)))
+                partners.append(other)
+                amplitudes.append((-2.0 * waves[0], -2.0 * waves[1], -2.0 * uniform))
+        tm, te, uniform = (np.array(each) for each in zip(*amplitudes, strict=True))
+        self._faces = np.array(partners), (tm, te, uniform)
         self._source = near_m, axis, 4.0 * complex(cell.n_in[axis])
         self._far = far
 
@@ -152,9 +155,9 @@ class _Adjoint:
         density = sum(np.sum(component * (of_e @ component), axis=0) for component in each.e)
         density = density + np.sum(each.curl * (self._of_curl[at_e] @ each.curl), axis=0)
         density = density + eps * np.sum(each.e_z * (self._of_z[at_z] @ each.e_z), axis=0)
-        for coefficients, amplitude in self._faces:
-            field = np.einsum("j,cjq->cq", coefficients[each.place], each.e)
-            density = density + np.sum(field * self._waves.field(amplitude, each.at), axis=0)
+        partners, amplitude = self._faces
+        fields = np.einsum("kj,cjq->kcq", partners[:, each.place], each.e, optimize=True)
+        density = density + np.sum(fields * self._waves.fields(amplitude, each.at), axis=(0, 1))
         multiplier, axis, factor = self._source
         density = density + factor * (multiplier[each.place] @ each.e[axis])
         turned = np.exp(-1j * (self._waves.k_order @ each.at)) / self._waves.area_nm2

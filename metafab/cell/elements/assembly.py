@@ -182,20 +182,20 @@ class Waves:
         )
         return Layer(p, q, tm, te, uniform, orders, self.area_nm2)
 
-    def field(self, amplitude: tuple[ComplexArray, ComplexArray, ComplexArray], at: FloatArray) -> ComplexArray:
-        """Sum of plane waves at places, shape (2, q).
+    def fields(self, amplitude: tuple[ComplexArray, ComplexArray, ComplexArray], at: FloatArray) -> ComplexArray:
+        """Sums of plane waves at places, shape (k, 2, q).
 
         Args:
-            amplitude: of the TM and TE waves, and of the uniform fields along x and y.
+            amplitude: of the TM and TE waves, and of the uniform fields along x and y, shape (k, n) each.
             at: shape (2, q), x and y, nm.
         """
-        total = np.repeat(amplitude[2][:, None] / math.sqrt(self.area_nm2), at.shape[1], axis=1)
+        total = np.repeat(amplitude[2][..., None] / math.sqrt(self.area_nm2), at.shape[1], axis=-1)
         for kind in (0, 1):
             x, d_x = self._along(0, self._numbers[0][kind], at[0])
             y, d_y = self._along(1, self._numbers[1][kind], at[1])
-            weight = (amplitude[kind] * self._inverse_k(kind)).reshape(len(x), len(y))
-            by_x, by_y = (np.sum(a * (weight @ b), axis=0) for a, b in ((d_x, y), (x, d_y)))
-            total += np.stack([by_x, by_y] if kind == 0 else [-by_y, by_x])
+            weight = (amplitude[kind] * self._inverse_k(kind)).reshape(-1, len(x), len(y))
+            by_x, by_y = (np.sum(a * (weight @ b), axis=1) for a, b in ((d_x, y), (x, d_y)))
+            total += np.stack([by_x, by_y] if kind == 0 else [-by_y, by_x], axis=1)
         return np.asarray(total)
 
 

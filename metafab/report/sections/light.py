@@ -172,7 +172,7 @@ def _aberrations(fronts: tuple[AberrationFigures, ...]) -> str:
 
 def _merit(merit: MeritFigures, run: RunFolder) -> str:
     """Figures of merit over depth, and measured values of the fabricated device."""
-    has_lobe, forms_images = run.has_lobe, run.outline.forms_images
+    has_lobe, forms_images = run.has_lobe, run.forms_images
     focus = "" if merit.focus is None else _focus(merit.focus)
     focus += "" if merit.aberrations is None else _aberrations(merit.aberrations)
     if merit.focus is not None and len(merit.depth_m) == 1:

@@ -43,9 +43,9 @@ def headlines(run: RunFolder) -> str:
     solved = summary.orders is not None and summary.orders.sites is not None
     if summary.orders is not None and solved:
         items.append(_by_full_wave(summary.orders))
-    if summary.lights is not None and run.outline.forms_images:
+    if summary.lights is not None and run.forms_images:
         items += _lights(summary.lights, summary.layout)
-    elif summary.merit is not None and run.outline.forms_images and nmae is None and not solved:
+    elif summary.merit is not None and run.forms_images and nmae is None:
         items += _focus(summary.merit, None if summary.orders is None else summary.orders.efficiency_ratio)
     terms = () if run.design is None else run.design.phase
     if summary.layout is not None and not solved and terms and all(isinstance(term, Grating) for term in terms):
