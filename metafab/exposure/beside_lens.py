@@ -82,9 +82,9 @@ def read_lenses(
         together: whether all other lenses follow in their order, which must be equal.
 
     Raises:
-        InputError: the file holds other shapes than pillars, pillars of dose classes, or lenses that differ though
-            ``together``; ``process.exposure.with_layers`` names a layer that the design does not draw, or a cell of
-            ``mask.include`` cannot be read.
+        InputError: the file holds other shapes than pillars, pillars of dose classes, a lens without pillars, or lenses
+            that differ though ``together``; ``process.exposure.with_layers`` names a layer that the design does not
+            draw, or a cell of ``mask.include`` cannot be read.
     """
     layer, copies = design.mask.layer, design.mask.copies
     numbers = [copy, *(number for number in range(1, len(copies) + 1) if together and number != copy)]
@@ -97,6 +97,9 @@ def read_lenses(
         expected = f"pillars on layer {layer}, datatype {design.mask.datatype} alone"
         got = ", ".join(further) or "those of dose classes, datatypes {} to {}".format(*back.datatypes)
         raise InputError.single(str(path), "layers", expected, got, "expose the mask without dose classes")
+    if missing := ", ".join(str(number) for number, shapes in back.other_copies.items() if not shapes):
+        remedy = "read the mask with its own design"
+        raise InputError.single(str(path), "copies", "pillars in all lenses", f"none in copy {missing}", remedy)
     if together:
         _require_equal(back)
     lenses, listed = [], []

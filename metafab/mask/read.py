@@ -69,7 +69,7 @@ class ReadBack:
     datatypes: tuple[int, int]
 
     def require_pillars_alone(self, remedy: str) -> None:
-        """Refuse a file whose pillar layer holds anything else than pillars at sites of the lattice.
+        """Refuse a lens without pillars, or a pillar layer with anything else than pillars at sites of the lattice.
 
         ``remedy`` is the consequence for the caller, and what to do. InputError with the number of leftovers of each
         kind.
@@ -84,6 +84,9 @@ class ReadBack:
         if got:
             expected = "rectangles at lattice sites and nothing else on the pillar layer"
             raise InputError.single(str(self.path), "pillars", expected, got, remedy)
+        if not any(tile.size_index.any() for tile in self.pillars.tiles()):
+            expected, remedy = "at least one at a site of the lens", "read the mask with its own design"
+            raise InputError.single(str(self.path), "pillars", expected, "none", remedy)
 
 
 def read(

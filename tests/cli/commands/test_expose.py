@@ -363,6 +363,16 @@ def test_refusals_name_the_key(library: str, further: str, named: str, folder: P
     assert named in answer.stderr
 
 
+@pytest.mark.parametrize(("copy", "named"), [(1, "none in copy 2"), (2, "at least one at a site of the lens")])
+def test_a_mask_without_a_lens_of_the_design_is_refused(copy: int, named: str, folder: Path, tmp_path: Path) -> None:
+    """The correction ended in a ValueError, and the prediction took the missing lens for counted."""
+    copies = "[[mask.copies]]\nat_um = [0.0, 0.0]\n[[mask.copies]]\nat_um = [45.0, 0.0]\n"
+    path = design_file(tmp_path / "design.toml", SMALL, PROCESS + copies, aperture_um="40.0")
+    for command in ("expose",), ("expose", "--correct"):
+        answer = metafab(*command, folder / "layout.oas", "--design", path, "--copy", str(copy))
+        assert (answer.code, named in answer.stderr) == (2, True), answer.stderr
+
+
 def test_too_many_doses_are_refused_before_any_is_found(folder: Path, tmp_path: Path) -> None:
     """Each of 129 would have a single class among 256 datatypes."""
     copies = (f"[[mask.copies]]\nat_um = [{1000 * k}.0, 0.0]\ndose = {1 + 0.01 * k:g}\n" for k in range(129))
