@@ -92,8 +92,10 @@ class LineStatistics:
     error_fitted: float = math.nan  #: Rms error on the rows of the fit.
     solver_error: float = math.nan  #: Rms error of the solved rows, from a sample solved more finely.
     error_floor: float = math.nan  #: Smallest stated error of a row.
-    #: Stated error per relative correction of the field and relative step of t from site to site, on top of the floor.
+    #: Stated error, on top of the floor, per power of the relative correction times the relative step of t from site to
+    #: site.
     error_slope: float = math.nan
+    error_power: float = 1.0  #: That power.
 
     def stated_error(self, correction: float, step: float) -> float:
         """Stated relative error of a row.
@@ -102,7 +104,7 @@ class LineStatistics:
             correction: rms correction of its field over its rms field.
             step: rms step of t from site to site over rms t.
         """
-        return self.error_floor + self.error_slope * correction * step
+        return self.error_floor + self.error_slope * math.pow(correction * step, self.error_power)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import FloatArray
@@ -29,6 +30,7 @@ from metafab.layout.mapping import LightChoice, LightTarget, TileMapping
 from metafab.layout.outlines import Outline
 from metafab.layout.pillars import PillarMap, PillarTile
 from metafab.library import Library, SizeTable
+from metafab.library.neighbours.choice import SHIFT_CELLS
 from metafab.library.use.lights import SizesOfLights
 from metafab.library.use.lookup import global_offsets
 from metafab.phase.terms.profile import PhaseProfile
@@ -41,6 +43,10 @@ KEPT_SITES = 1 << 27
 
 # Rows and columns that are sampled to choose the constant phases.
 _SAMPLED_LINES = 1000
+# Golden ratio: its multiples, modulo 1, are spread evenly.
+_GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
+# Windows of a mapping by table, and sites per side.
+_WINDOWS, _WINDOW_SITES = 16, 144
 # Retardances (rad) that differ by less are equal: those of files in single precision, or with three decimals, differ by
 # less from place to place.
 _SAME_RAD = 1e-2
@@ -200,7 +206,21 @@ def mapping_of(
         offsets = offset_x, offset_y
     table = each if joint is None else joint.table
     outline = Outline.of(design)
-    return TileMapping(profile, table, aperture, offsets, tile_sites(design), joint, choice, of_lights, outline)
+    mapping = TileMapping(profile, table, aperture, offsets, tile_sites(design), joint, choice, of_lights, outline)
+    return _by_table(mapping) if design.rules.neighbours == "table" else mapping
+
+
+def _by_table(mapping: TileMapping) -> TileMapping:
+    """Mapping by one look-up a pillar, from the mean change of t that the choice among neighbours makes in a sample."""
+    sampled = replace(mapping, tile_sites=_WINDOW_SITES)
+    corners = sampled.corners()
+    chosen = np.unique((np.arange(1, _WINDOWS + 1) * _GOLDEN % 1.0 * len(corners)).astype(np.int64))
+    with ThreadPoolExecutor(default_workers()) as threads:
+        sums = sum(threads.map(sampled.phase_shifts, [corners[k] for k in chosen]))
+    table = mapping.table
+    places = np.meshgrid(*[np.arange(table.cells) * (SHIFT_CELLS / table.cells)] * 2, indexing="ij")
+    turned = [map_coordinates(each, places, order=1, mode="grid-wrap") for each in np.asarray(sums)]
+    return replace(mapping, table=table.shifted(np.angle(turned).astype(np.float64)), choice=None)
 
 
 def _keeps_retardance(target_rad: FloatArray, table: SizeTable, rule: Literal["auto", "kept", "free"]) -> bool:
@@ -266,5 +286,4 @@ def constant_phases(
 
 def _sampled_lines(count: int) -> NDArray[np.int64]:
     """Up to :data:`_SAMPLED_LINES` of ``count`` lines, a golden-ratio sequence: even, without a period."""
-    golden = (np.sqrt(5.0) - 1.0) / 2.0
-    return np.unique((np.arange(1, _SAMPLED_LINES + 1) * golden % 1.0 * count).astype(np.int64))
+    return np.unique((np.arange(1, _SAMPLED_LINES + 1) * _GOLDEN % 1.0 * count).astype(np.int64))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metafab.core.conventions import FloatArray
+from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.layout.aperture import Aperture
 from metafab.layout.figures import TileSums
 from metafab.layout.gaps import smallest_gap
@@ -70,22 +70,7 @@ class TileMapping:
     def __call__(self, corner: tuple[int, int]) -> tuple[PillarTile, TileSums]:
         """Map the tile whose first site is ``corner``, (row, column)."""
         lattice = self.aperture.lattice
-        halo = np.array(lattice.reach)
-        if self.joint is not None:
-            halo += reach_sites(lattice)
-        if self.choice is not None:
-            halo += HALO_SITES
-        row, column = np.maximum(np.subtract(corner, halo), 0).tolist()
-        last_row, last_column = np.minimum(np.add(corner, self.tile_sites + halo), lattice.shape).tolist()
-        x_um, y_um = lattice.x_um()[column:last_column], lattice.y_um()[row:last_row]
-        target = self.profile(x_um, y_um)
-        target += np.reshape(self.offset_rad, (2, 1, 1))
-        of_lights = None if self.lights is None else self.lights.target_rad(x_um, y_um)
-        if self.lights is None or of_lights is None:
-            sizes = self.table.sizes_for(target[0], target[1])
-        else:
-            sizes = self.lights.sizes.best(of_lights)[0]
-        sizes *= self.aperture.inside(row, column, sizes.shape)
+        row, column, target, sizes, of_lights = self._window(corner)
         inset = corner[0] - row, corner[1] - column
         if self.choice is not None:
             fields = self.choice.improve(sizes, target)
@@ -106,6 +91,35 @@ class TileMapping:
         self.joint.improve(sizes, target, lattice, (row, column))
         tile, joint_sums = self._tile(corner, inset, sizes, target)
         return tile, replace(joint_sums, each=sums)
+
+    def phase_shifts(self, corner: tuple[int, int]) -> ComplexArray:
+        """:meth:`NeighbourChoice.phase_shifts` of the tile whose first site is ``corner``."""
+        assert self.choice is not None
+        row, column, target, sizes, _ = self._window(corner)
+        inset = corner[0] - row, corner[1] - column
+        core = np.s_[inset[0] : inset[0] + self.tile_sites, inset[1] : inset[1] + self.tile_sites]
+        return self.choice.phase_shifts(sizes, target, core)
+
+    def _window(self, corner: tuple[int, int]) -> tuple[int, int, FloatArray, SizeIndexArray, FloatArray | None]:
+        """First row and column of a tile with its halo, targets, sizes by the look-up, and targets of all lights."""
+        lattice = self.aperture.lattice
+        halo = np.array(lattice.reach)
+        if self.joint is not None:
+            halo += reach_sites(lattice)
+        if self.choice is not None:
+            halo += HALO_SITES
+        row, column = np.maximum(np.subtract(corner, halo), 0).tolist()
+        last_row, last_column = np.minimum(np.add(corner, self.tile_sites + halo), lattice.shape).tolist()
+        x_um, y_um = lattice.x_um()[column:last_column], lattice.y_um()[row:last_row]
+        target = self.profile(x_um, y_um)
+        target += np.reshape(self.offset_rad, (2, 1, 1))
+        of_lights = None if self.lights is None else self.lights.target_rad(x_um, y_um)
+        if self.lights is None or of_lights is None:
+            sizes = self.table.sizes_for(target[0], target[1])
+        else:
+            sizes = self.lights.sizes.best(of_lights)[0]
+        sizes *= self.aperture.inside(row, column, sizes.shape)
+        return row, column, target, sizes, of_lights
 
     def _tile(
         self,

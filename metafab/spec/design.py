@@ -99,8 +99,9 @@ class Rules(Checked):
     #: Standard deviation of a common bias of width and length in fabrication; the mapping then avoids sizes with a
     #: steep phase.
     cd_sigma_nm: NonNegative = 0.0
-    #: Choose sizes for the light that pillars have among their neighbours, by the library's model of them.
-    neighbours: Flag = False
+    #: Choose sizes for the light that pillars have among their neighbours, by the library's model of them: one by one,
+    #: or, with "table", by one look-up that is made from a sample of the mask.
+    neighbours: Flag | Literal["table"] = False
     #: Use only sizes that respond equally to both polarisations by symmetry: equal width and length, or crosses, in a
     #: square cell.
     polarisation_independent: Flag = False

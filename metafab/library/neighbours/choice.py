@@ -32,6 +32,8 @@ ROUNDS, _PRICE = 4, 5e-3
 #: times this price gives up a third of the gained light. With a share of 0.95 the sum spans 20 pillars, more than a
 #: period of the paper's lens, and the phases of periods scatter by 0.030 rad in place of 0.018.
 _PHASE_PRICE, _KEPT = 1.0, 0.9
+#: Cells along each target phase of the table of a mapping by table.
+SHIFT_CELLS = 48
 #: Standard deviation, in sites along the row, of the Gaussian mean that gives the local phase of the field.
 _LOCAL_SITES = 5.0
 
@@ -79,6 +81,31 @@ class NeighbourChoice:
             error = local_mean(reached, size_index).imag.transpose(1, 2, 0)
             _move(size_index, slopes, lone, parts, error, self.place, self.grid, self.length_nm, self.width_nm)
         return before, weight * (self.t[size_index].transpose(2, 0, 1) + self.tables.field(size_index))
+
+    def phase_shifts(self, size_index: IndexArray, target_rad: FloatArray, core: tuple[slice, slice]) -> ComplexArray:
+        """Changes of t by :meth:`improve` of the sizes of a window, summed by the target phases of the pillars.
+
+        Args:
+            size_index: shape (n_y, n_x), 0 where no pillar stands.
+            target_rad: shape (2, n_y, n_x), target phases.
+            core: rows and columns that count.
+
+        Returns:
+            Sum of t conj(t of ``size_index``), shape (2, cells, cells), of x and y polarisation at the target phases
+            2 pi (column, row) / cells.
+        """
+        chosen = size_index.copy()
+        self.improve(chosen, target_rad)
+        cell = np.rint(target_rad[:, *core] * (SHIFT_CELLS / (2.0 * np.pi))).astype(np.intp) % SHIFT_CELLS
+        place = np.ravel(cell[1] * SHIFT_CELLS + cell[0])
+        stands = size_index[core] > 0
+        sums = np.empty((2, SHIFT_CELLS**2), dtype=np.complex128)
+        for light in range(2):
+            turned = self.t[chosen[core], light] * self.t[size_index[core], light].conj() * stands
+            sums[light].real, sums[light].imag = (
+                np.bincount(place, part.ravel(), SHIFT_CELLS**2) for part in (turned.real, turned.imag)
+            )
+        return sums.reshape(2, SHIFT_CELLS, SHIFT_CELLS)
 
 
 def local_mean(field: ComplexArray, size_index: IndexArray) -> ComplexArray:

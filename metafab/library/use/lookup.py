@@ -10,7 +10,7 @@ fills the table.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -60,6 +60,14 @@ class SizeTable:
         sizes = np.empty(phases[0].shape, dtype=np.uint16)
         _look_up(phase_x, phase_y, self.size_index, sizes.reshape(-1))
         return sizes
+
+    def shifted(self, shift_rad: FloatArray) -> SizeTable:
+        """Return the table that finds at each pair of phases the size of this one at the phases plus ``shift_rad``.
+
+        Shifts have the shape (2, cells, cells), of phi_x and phi_y, indexed [phi_y, phi_x].
+        """
+        phase = 2.0 * math.pi * np.arange(self.cells) / self.cells
+        return replace(self, size_index=self.sizes_for(phase + shift_rad[0], phase[:, None] + shift_rad[1]))
 
     def histogram(self, phase_x_rad: ArrayLike, phase_y_rad: ArrayLike) -> NDArray[np.int64]:
         """Count the targets (rad, any shape) in each cell: shape (cells, cells), indexed [phi_y, phi_x]."""

@@ -193,6 +193,9 @@ def test_sizes_chosen_among_neighbours_send_more_light_to_the_target(
     tiled = layout.assign(profile, coupled_library, asked)
     assert efficiency(tiled.pillars) == pytest.approx(figures.neighbour_efficiency, abs=5e-3)
     assert tiled.figures.neighbour_efficiency == pytest.approx(efficiency(tiled.pillars), rel=1e-3)
+    table = layout.assign(profile, coupled_library, replace(asked, rules=replace(asked.rules, neighbours="table")))
+    gains = [efficiency(each.pillars) - efficiency(tiny.pillars) for each in (table, tiled)]
+    assert gains[0] > gains[1] / 3.0
 
 
 @pytest.mark.parametrize("target_rad", [0.0, 0.4])

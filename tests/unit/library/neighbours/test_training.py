@@ -139,6 +139,18 @@ def test_workers_fit_the_same_chains(trained: Library, asked: Library, solved_ro
         assert line.statistics == serial.statistics
 
 
+def test_few_held_out_rows_state_enough() -> None:
+    """Errors scatter about the square root of the doubt as they do on solved rows, log-normally by 0.5."""
+    rng = np.random.default_rng(3)
+    for held_out, most in ((10, 25.0), (160, 9.0)):
+        doubts = np.exp(rng.uniform(-6.0, 0.0, (400, held_out + 100)))
+        errors = 0.3 * np.sqrt(doubts) * np.exp(0.5 * rng.normal(size=doubts.shape))
+        slopes = [training._error_slope(*pair) for pair in zip(doubts[:, :held_out], errors[:, :held_out], strict=True)]
+        ratios = np.stack(slopes)[:, None] * np.sqrt(doubts[:, held_out:]) / errors[:, held_out:]
+        assert np.mean(ratios < 1.0) < 3e-4
+        assert np.median(ratios) < most
+
+
 def test_supercells_by_the_model(trained: Library) -> None:
     library = trained
     cell = pillar_cell(library.unit_cell, 0.0, 0.0)
