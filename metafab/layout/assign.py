@@ -46,7 +46,7 @@ _SAMPLED_LINES = 1000
 # Golden ratio: its multiples, modulo 1, are spread evenly.
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 # Windows of a mapping by table, and sites per side.
-_WINDOWS, _WINDOW_SITES = 16, 144
+_WINDOWS, _WINDOW_SITES = 8, 208
 # Retardances (rad) that differ by less are equal: those of files in single precision, or with three decimals, differ by
 # less from place to place.
 _SAME_RAD = 1e-2

@@ -93,7 +93,7 @@ class TileMapping:
         return tile, replace(joint_sums, each=sums)
 
     def phase_shifts(self, corner: tuple[int, int]) -> ComplexArray:
-        """:meth:`NeighbourChoice.phase_shifts` of the tile whose first site is ``corner``."""
+        """:meth:`NeighbourChoice.phase_shifts` of the tile whose first site is ``corner``, shape (2, cells, cells)."""
         assert self.choice is not None
         row, column, target, sizes, _ = self._window(corner)
         inset = corner[0] - row, corner[1] - column
