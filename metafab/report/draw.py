@@ -119,18 +119,16 @@ def _library(run: RunFolder) -> Iterator[Plan]:
 
 def _design(run: RunFolder) -> Iterator[Plan]:
     if run.phases is not None and run.phases.vary:
-        content = (
-            "Spiral zones"
-            if "spiral_zones" in run.outline.terms
-            else run.outline.carriers and f"Without {run.outline.carriers}"
-        )
+        content = f"Without {run.outline.carriers}" if run.outline.carriers else "Target phase"
+        if "spiral_zones" in run.outline.terms:
+            content = "Spiral zones"
         for row, p in enumerate(POLARISATIONS):
             paint = partial(
                 phases.aperture_phase,
                 run.phases.phase_rad[row],
                 run.phases.half_side_um,
                 polarisation=p,
-                title=f"{content or 'Target phase'}, {p} polarisation",
+                title=f"{content}, {p} polarisation",
             )
             yield Plan(f"phase_{p}", f"Target phase over the aperture, {p} polarisation", paint, (4.0, 3.4), PICTURE)
     if run.pillars is None:

@@ -50,11 +50,8 @@ def _flat(run: RunFolder) -> str:
     """Note where no phases are drawn."""
     if run.phases is None:
         return html.note(run.notes.get("phases", "no phases"))
-    return (
-        ""
-        if run.phases.vary
-        else html.note(f"the target is the phase of the {run.outline.carriers or 'carriers'} alone")
-    )
+    carriers = run.outline.carriers or "carriers"
+    return "" if run.phases.vary else html.note(f"the target is the phase of the {carriers} alone")
 
 
 def _filter(run: RunFolder, drawn: Drawn) -> str:
