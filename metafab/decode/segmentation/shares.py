@@ -54,6 +54,8 @@ _BLUR_PX = 12
 #: Distance from a tile's edge up to which its pixels do not count, frame pixels: light from beyond is mixed in. 9 gives
 #: the same errors, 18 more by a tenth.
 _GUARD_PX = 12
+#: Share of a layer's pixels whose texture is typical of all.
+_MOSTLY = 0.5
 #: Relative difference of vergence from which a layer is nearer than another.
 _NEARER = 2e-3
 #: Most segments, and most memory of their model: pieces of a shattered segmentation are no layers.
@@ -183,7 +185,7 @@ class _Layers:
             white: list[NDArray[np.complex64] | None] = [None] * len(groups)
             for _ in range(_ROUNDS):
                 found = list(pool.map(lambda group, *last: group.model.expected(*last), groups, shares, white))
-                typical = self._typical(groups, [one.energy for one in found])
+                typical = _typical_energy(groups, [one.energy for one in found], len(self.gains))
                 shares = [
                     group.model.share(one, typical[group.layer]) for group, one in zip(groups, found, strict=True)
                 ]
@@ -260,31 +262,14 @@ class _Layers:
             away <= self.hidden_px,
             _POOLED_PX / step,
         )
-        return _Group(numbers, layer, model, share, single & allowed & (label == number) & core)
+        labelled = allowed & (label == number) & core
+        return _Group(numbers, layer, model, share, labelled, labelled & single)
 
     @property
     def _counted(self) -> tuple[slice, ...]:
         """The part of a tile whose pixels count."""
         guard = _GUARD_PX // self.prepared.downsampling.step
         return tuple(slice(guard, n - guard) for n in self.optics.tiling.size)
-
-    def _typical(self, groups: list[_Group], energies: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-        """Median energy of each layer's whitened light at its pixels away from outlines: shape (n_layers,).
-
-        The mean over its tiles for a layer whose pixels away from outlines lie in other tiles.
-        """
-        known: list[list[NDArray[np.float32]]] = [[] for _ in self.gains]
-        means: list[list[float]] = [[] for _ in self.gains]
-        for group, energy in zip(groups, energies, strict=True):
-            for layer, one, own in zip(group.layer.tolist(), energy, group.own, strict=True):
-                known[layer].append(one[own])
-                means[layer].append(float(one.mean()))
-        typical = np.ones(len(known), dtype=np.float32)
-        for layer, (parts, mean) in enumerate(zip(known, means, strict=True)):
-            if parts:
-                own = np.concatenate(parts)
-                typical[layer] = np.median(own) if own.size else np.mean(mean)
-        return typical
 
     def _weight(self, mean: NDArray[np.float32]) -> NDArray[np.float32]:
         """Inverse standard deviation of each pixel of the images, 0 where it is not modelled: their shape.
@@ -314,7 +299,29 @@ class _Group:
     layer: NDArray[np.intp]  # (n_pairs,), index of the layer
     model: TileLayers
     first: NDArray[np.float32]  # (n_pairs, n_y, n_x), shares to begin with
-    own: NDArray[np.bool_]  # (n_pairs, n_y, n_x), pixels of the layer alone
+    labelled: NDArray[np.bool_]  # (n_pairs, n_y, n_x), pixels of the layer at first
+    alone: NDArray[np.bool_]  # (n_pairs, n_y, n_x), those that no other layer may take
+
+
+def _typical_energy(
+    groups: Sequence[_Group], energies: Sequence[NDArray[np.float32]], count: int
+) -> NDArray[np.float32]:
+    """Median energy of each layer's whitened light at its pixels away from outlines: shape (count,).
+
+    At all its pixels if fewer than half are away from outlines: a layer that loses pixels explains its light by the
+    others, and energy that rose with each loss would make it lose more. The mean over its tiles for a layer whose
+    pixels lie in other tiles.
+    """
+    energy = np.concatenate(energies)
+    layer, labelled, alone = (
+        np.concatenate(parts) for parts in zip(*((g.layer, g.labelled, g.alone) for g in groups), strict=True)
+    )
+    typical = np.ones(count, dtype=np.float32)
+    for index in np.unique(layer).tolist():
+        at = layer == index
+        known = alone[at] if alone[at].sum() >= _MOSTLY * labelled[at].sum() else labelled[at]
+        typical[index] = np.median(energy[at][known]) if known.any() else energy[at].mean()
+    return typical
 
 
 def _distances(label: NDArray[np.int32], count: int, reach: float) -> NDArray[np.float32]:
