@@ -10,6 +10,7 @@
 - ``shape``      sizes to draw at one dose
 - ``etch``       sizes after the etch: bias and microloading
 - ``expose``     :func:`expose`: printed sizes, corrected doses, dose classes; ``exposure.json``
+- ``size_model``  sizes of measured pillars as functions of a process
 - ``fit``        process from measured sizes
 - ``process_file``  table of measured sizes to process file
 

@@ -23,8 +23,12 @@ from metafab.core.numeric.compiled import compiled
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.shapes import Shapes
 
-#: Displacements of the table: number of nodes, displacement up to which their steps are even (nm), and reach (nm).
-_NODES, _EVEN_NM, _REACH_NM = 161, 0.05, 120.0
+#: Number of displacements in the table.
+_NODES = 161
+#: Displacement up to which their steps are even, nm.
+_EVEN_NM = 0.05
+#: Largest displacement, nm.
+_REACH_NM = 120.0
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from metafab.core.parallel.work import Work
 from metafab.core.storage.files import whole_file
 from metafab.exposure.beside_lens import read_lenses
 from metafab.exposure.electrons.process import beam_psf, exposure_process
-from metafab.exposure.fit import MeasuredLens, Parameter, ProcessFit, fit_process
+from metafab.exposure.fit import ProcessFit, fit_process
+from metafab.exposure.size_model import MeasuredLens, Parameter
 from metafab.layout.outlines import Outline
 from metafab.mask.measured import MeasuredTable, read_measured
 from metafab.spec import Design, UnitCell, canonical_toml

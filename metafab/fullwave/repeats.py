@@ -38,11 +38,13 @@ _ALIKE, _TURNED = 0.85, 0.05
 _PLACES, _WINDOWS = 8, 8
 #: Processor time that the solutions may take in a run; seconds per cubed number of functions, measured on a slow core.
 _LIMIT_S, _PER_CUBE_S = 60.0, 2.5e-9
-#: Ascending polynomial orders of rectangles and of curved outlines, and the bound on the error of an efficiency: a
-#: share of its last change, and this floor over the squared order. On windows of 13 silicon pillars, orders 3 and 4
-#: differed by up to 0.13 of the change from 2 to 3.
+#: Ascending polynomial orders of rectangles and of curved outlines.
 _RESOLUTIONS, _CURVED_RESOLUTIONS = (2.0, 3.0), (3.0, 4.0)
-_SHARE, _SHARE_CURVED, _FLOOR = 0.5, 2.0, 0.01
+#: Bound on the error of an efficiency over its last change, of rectangles and of curved outlines. On windows of 13
+#: silicon pillars, orders 3 and 4 differed by up to 0.13 of the change from 2 to 3.
+_SHARE, _SHARE_CURVED = 0.5, 2.0
+#: Least bound on that error, times the squared order.
+_FLOOR = 0.01
 #: Smallest efficiency of an unwanted order that is listed; share of the brightest from which the library's orders are
 #: wanted.
 _LISTED, _WANTED = 0.03, 0.5

@@ -21,8 +21,12 @@ COLUMNS = ("x_um", "y_um", "width_nm", "length_nm")
 #: Largest median ratio of measured and drawn sizes: beyond it the unit is wrong.
 _LARGEST_RATIO = 5.0
 #: Largest median distance of the places from their pillars along an axis, periods: beyond it, some have the size of the
-#: next one. Sizes belong to pillars a site on if they spread half as much about those, of at least as many pillars.
-_LARGEST_OFFSET, _BETTER, _ENOUGH = 0.25, 0.5, 8
+#: next one.
+_LARGEST_OFFSET = 0.25
+#: Sizes belong to pillars a site on if they spread by less than this share about those.
+_BETTER = 0.5
+#: Fewest pillars that show it.
+_ENOUGH = 8
 
 
 @dataclass(frozen=True, eq=False)

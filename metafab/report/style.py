@@ -21,7 +21,9 @@ from matplotlib.ticker import LogFormatter
 from numpy.typing import ArrayLike
 
 #: Inks of the figures and their CSS variables.
-INK, MUTED, HAIRLINE = "#20242c", "#6a7280", "#d3d8e0"
+INK = "#20242c"
+MUTED = "#6a7280"
+HAIRLINE = "#d3d8e0"
 X_COLOUR, Y_COLOUR = "#c4511d", "#1d6fb3"
 IDEAL, GOOD = "#8b919c", "#2c7f62"
 CSS_VARIABLES = {

@@ -35,11 +35,13 @@ from metafab.core.errors import SolverError
 #: the error of order 4 was 0.99 of it, and in an ellipse of 460 x 38 nm 2.4e-3 at a change of 6e-4. An error of p^-4 is
 #: 1.2, 1.4 and 1.7 of the last change at orders 7, 8 and 9.
 _CLAIMS = {4: (4e-3, 2.0), 5: (5e-4, 2.0), 6: (2e-4, 2.0), 7: (1e-4, 2.0), 8: (6e-5, 2.4), 9: (4e-5, 2.8)}
-#: Largest index in a cell of low index; and the share of the change before the last that bounds the error of an ellipse
-#: from order 5 on, above that index and up to it, where the rims' field is less singular. Beside a resonance at an
-#: index of 3.3 the changes to orders 4, 5 and 6 were 0.029, 6e-4 and 7e-4, and order 5 was off by 1.3e-3. Where the
-#: last change was less than a twentieth of it, errors were at most 0.043 and 0.014 of it in 34 ellipses, 32 random.
-_LOW_INDEX, _BEFORE, _BEFORE_LOW = 3.0, 0.1, 0.03
+#: Largest index in a cell of low index, where the field at the rims is less singular.
+_LOW_INDEX = 3.0
+#: Share of the change before the last that bounds the error of an ellipse from order 5 on, in cells of high and of low
+#: index. Beside a resonance at an index of 3.3 the changes to orders 4, 5 and 6 were 0.029, 6e-4 and 7e-4, and order 5
+#: was off by 1.3e-3. Where the last change was less than a twentieth of it, errors were at most 0.043 and 0.014 of it
+#: in 34 ellipses, 32 random.
+_BEFORE, _BEFORE_LOW = 0.1, 0.03
 #: Claims of rounded rectangles, whose elements differ in order. On 40 random ones, resonances among them, the error of
 #: order 4 was at most 0.26 of a change from order 3 above 1e-3; that of order 5 at most 0.3 of a change above 4e-4, but
 #: 0.73 of it in a pillar of index 4.1.

@@ -32,9 +32,11 @@ from metafab.core.errors import InputError, SolverError
 #: Bound on the error of a light's amplitudes: a share of their last change, and at least this floor over the
 #: square of the resolution (two resolutions may agree by accident). Measured on rows and single cells.
 _SHARE, _FLOOR = 0.5, 0.075
-#: Shares for circles and ellipses: from this resolution on (an order of 5), and below it. On 20 random rows the error
-#: of order 4 was up to 2.4 of the change from order 3, that of order 5 up to 0.53 of a change above 1e-3.
-_CURVED_FROM, _SHARE_CURVED, _SHARE_COARSE = 4.0, 2.0, 5.0
+#: Shares for circles and ellipses: at fine resolutions, and at coarse ones. On 20 random rows the error of order 4 was
+#: up to 2.4 of the change from order 3, that of order 5 up to 0.53 of a change above 1e-3.
+_SHARE_CURVED, _SHARE_COARSE = 2.0, 5.0
+#: Resolution from which circles and ellipses are finely resolved: an order of 5.
+_CURVED_FROM = 4.0
 #: Most functions of a layer: ten complex matrices of twice this size fill 4 GB.
 _MOST_FUNCTIONS = 5000
 #: Target error of each pillar in its own periodic cell.

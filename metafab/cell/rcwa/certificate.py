@@ -100,9 +100,11 @@ _RUNGS: dict[Formulation, dict[int, Rung]] = {
         24: Rung(6e-3, 2e-3, 3.0, 15.0),
     },
 }
-#: Least cosines for which a single difference bounds amplitudes (4 and 5 may agree by accident), and the factor from it
-#: to the bound there and below. Of 273 random cells the error of 8 cosines was at most 2.7 times the difference to 6.
-_LONE_FROM, _LONE_MARGIN, _COARSE_LONE_MARGIN = 6, 7.0, 12.0
+#: Least cosines for which a single difference bounds amplitudes: 4 and 5 may agree by accident.
+_LONE_FROM = 6
+#: Factor from a single difference to the bound, from that number of cosines on and below it. Of 273 random cells the
+#: error of 8 cosines was at most 2.7 times the difference to 6.
+_LONE_MARGIN, _COARSE_LONE_MARGIN = 7.0, 12.0
 #: Number of differences that are compared.
 _NEAREST = 3
 #: Implied error, of an amplitude or an efficiency, above which the ladder has not begun to converge, and the multiple

@@ -24,9 +24,15 @@ _RESOLVED, _RESOLVED_LAYER = 1.5, 2.5
 #: radian that the pillar adds: 5 cosines were off by up to 6.7e-4 a radian on 28 random cells. In a pillar of 2.8 and a
 #: period of 2.0 wavelengths, 3, 4 and 5 cosines agreed within 0.005, and 5 were off by 0.011.
 _FALLING, _COARSE_OF_A_RAD = 2.5, 1e-3
-#: Measured range: period in wavelengths inside the densest medium, height in vacuum wavelengths, ratio of the indices,
-#: and extinction over index. In narrower and in taller cells 5 cosines may be worse than 3, and claims failed.
-_NARROWEST, _WIDEST, _TALLEST, _STEEPEST, _DIMMEST = 1.2, 1.65, 1.35, 4.0, 0.05
+#: Measured range: period in wavelengths inside the densest medium. In narrower and in taller cells 5 cosines may be
+#: worse than 3, and claims failed.
+_NARROWEST, _WIDEST = 1.2, 1.65
+#: Measured range: largest height, vacuum wavelengths.
+_TALLEST = 1.35
+#: Measured range: largest ratio of the indices.
+_STEEPEST = 4.0
+#: Measured range: largest extinction over index.
+_DIMMEST = 0.05
 #: Measured range: ratio of the periods, and size over period. Between silicon pillars that stand closer, claims failed
 #: at some heights.
 _LONGEST, _FULLEST = 1.03, 0.7

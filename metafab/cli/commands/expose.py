@@ -163,8 +163,8 @@ def process_fit_command(
     the written file by `process = "process.toml"`. Columns height_nm, sidewall_angle_deg and corner_radius_nm become
     those of the etch, and of a unit cell beside the file.
     """
-    from metafab.exposure.fit import PARAMETERS
     from metafab.exposure.process_file import fitted_process, process_files, save_process
+    from metafab.exposure.size_model import PARAMETERS
     from metafab.spec import load_design
 
     names = free or ["threshold", "eta", "bias"]

@@ -40,7 +40,9 @@ _OPENERS: dict[int, Callable[[], Any]] = {
     34925: lzma.LZMADecompressor,
 }
 #: Compression of TIFF that tifffile expands in Python, to a list of eight bytes for each byte and in 0.2 us a run.
-_PACKBITS, _MOST_UNPACKED_BYTES, _MOST_RUNS = 32773, 1 << 25, 1 << 23
+_PACKBITS = 32773
+#: Most bytes and runs of a picture in this compression.
+_MOST_UNPACKED_BYTES, _MOST_RUNS = 1 << 25, 1 << 23
 #: Bytes that a strip may inflate to beyond twice its pixels, and fixed cost of a strip in bytes.
 _SPARE_BYTES, _BYTES_OF_A_STRIP = 1 << 16, 512
 #: Most strips and tiles of all pages, on top of one for each 256 bytes of the file; each costs 20 us.

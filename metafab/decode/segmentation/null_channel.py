@@ -32,9 +32,12 @@ from metafab.decode.segmentation.prepared_frame import PreparedFrame
 WINDOW = 96
 #: Side of its even part, downsampled pixels.
 _EVEN = 44
-#: Rms contrast of an object's texture, rms of its mean intensities over the surface's, and the pair's error as a share
-#: of the surface's light.
-_TEXTURE, _LEVEL, _MODEL_ERROR = 0.2, 0.7, 0.01
+#: Rms contrast of an object's texture.
+_TEXTURE = 0.2
+#: Rms of an object's mean intensities over the surface's.
+_LEVEL = 0.7
+#: Error of the pair as a share of the surface's light.
+_MODEL_ERROR = 0.01
 #: Least light of an object over the surface's.
 _LEAST_LIGHT = 0.1
 #: Side of the window over which the residual of the null channel is averaged, downsampled pixels.

@@ -37,8 +37,12 @@ _TRIPLES = 200
 _NEIGHBOURHOOD, _FEWEST_NEIGHBOURS = 2.5, 6
 #: RANSAC: distance of an inlier, in standard errors of the cell plus a share of the layers' separation.
 _INLIER_ERRORS, _INLIER_SHARE = 2.5, 0.15
-#: RANSAC: fewest inliers of a plane, most planes, and refits of a plane to its inliers.
-_FEWEST_INLIERS, _MOST_PLANES, _REFITS = 10, 8, 3
+#: RANSAC: fewest inliers of a plane.
+_FEWEST_INLIERS = 10
+#: RANSAC: most planes.
+_MOST_PLANES = 8
+#: RANSAC: refits of a plane to its inliers.
+_REFITS = 3
 #: Layers that a plane may cross within a cell: an outline between two objects is steeper.
 _STEEPEST = 1.5
 #: Determinant of the normal equations over the product of their diagonal (Hadamard) of cells that lie on one line.

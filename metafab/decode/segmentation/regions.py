@@ -60,8 +60,12 @@ _CLEARLY_BETTER = 0.93
 #: Misfit of pixels' depths to planes fitted to their segments from which segments are sought on continuous surfaces:
 #: scenes of flat objects and photographs on them have 1.0 to 2.4, a steep ground 3.1, the Middlebury motorcycle 6.
 _UNFIT = 2.6
-#: Side of a cell of such surfaces, frame pixels; layers that they cross within a cell, and most of their planes.
-_SURFACE_CELL_PX, _SURFACE_STEEPEST, _MOST_SURFACES = 18, 6.0, 24
+#: Side of a cell of such surfaces, frame pixels.
+_SURFACE_CELL_PX = 18
+#: Most layers that such a surface crosses within a cell.
+_SURFACE_STEEPEST = 6.0
+#: Most planes of such surfaces.
+_MOST_SURFACES = 24
 #: Most downsampled pixels and cells of a frame whose surfaces are sought. A pixel takes a kilobyte. This number of
 #: cells takes 0.4 GB, which grows with its square, and 4 s of processor time; frames of 1.0 to 1.3 million pixels have
 #: 4000.

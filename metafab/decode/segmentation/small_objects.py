@@ -37,9 +37,12 @@ _FEWEST, _PEAK_MISFIT = 40, 6.0
 _BORDER = 2
 #: Most blobs that are searched; those of the largest misfit are taken.
 _MOST_BLOBS = 40
-#: Candidate depths: from this ratio to the surface's vergence to this share of the largest calibrated one, and their
-#: number.
-_NEAREST_RATIO, _RANGE_SHARE, _CANDIDATES = 1.12, 0.97, 9
+#: Number of candidate depths.
+_CANDIDATES = 9
+#: Least vergence of a candidate over the surface's.
+_NEAREST_RATIO = 1.12
+#: Largest vergence of a candidate over the largest calibrated one.
+_RANGE_SHARE = 0.97
 #: Steps of the sides of rectangles at the candidates, downsampled pixels.
 _COARSE_STEPS = (2.0, 1.0)
 #: Moves of a rectangle (middle and half sides along y and x): as a whole, and each of its sides.

@@ -42,10 +42,13 @@ _FIT_RATIO, _FIT_FLOOR = 1.35, 1e-4
 #: Empty rings beyond the table, and least ratio of their radii: they reach to three times its last radius, which
 #: no fitted range exceeds by more than :data:`_FIT_RATIO`.
 _EMPTY_RINGS, _EMPTY_RATIO = 4, 4.0 / 3.0
-#: Weights in the fit, relative to that of a ring's relative error: of the energy within each radius, of the sum of all
-#: weights, and of a penalty on large weights. Large weights of both signs magnify the errors of the energy, the more
-#: the shorter their ranges are.
-_FIT_WITHIN, _FIT_SUM, _FIT_SMALL = 30.0, 1e3, 0.3
+#: Weight in the fit of the energy within each radius, relative to that of a ring's relative error.
+_FIT_WITHIN = 30.0
+#: Likewise of the sum of all weights.
+_FIT_SUM = 1e3
+#: Likewise of a penalty on large weights: of both signs, they magnify the errors of the energy, the more the shorter
+#: their ranges are.
+_FIT_SMALL = 0.3
 #: Least share of all energy of the rings whose relative errors are stated; of a finer table those with at least half
 #: of its largest ring's.
 _STATED_SHARE = 1e-3

@@ -20,9 +20,11 @@ DENOMINATOR_DEGREES = (7, 10, 12)
 LARGEST_DEGREE, LARGEST_CORNER_DEGREE = 16, 18
 #: Largest number of unknowns per equation; a value below 1 suppresses noise and spurious poles.
 FILLING = 0.7
-#: Degrees and unknowns per equation for sweeps with many guided modes (TiO2 in the visible); tried only with enough
+#: Degrees of denominator and numerators for sweeps with many guided modes (TiO2 in the visible); tried only with enough
 #: samples.
-MANY_MODES_DENOMINATOR, MANY_MODES_DEGREE, MANY_MODES_FILLING = 14, 22, 0.35
+MANY_MODES_DENOMINATOR, MANY_MODES_DEGREE = 14, 22
+#: Unknowns per equation of such models.
+MANY_MODES_FILLING = 0.35
 #: Weights of an axis that are tried.
 WEIGHTS = (2, 3)
 #: Largest number of ranked models over sizes and axes; two could agree by chance where samples are sparse.

@@ -28,8 +28,12 @@ from metafab.library.library import Library
 from metafab.library.use.quality import coverage_rad
 from metafab.spec import UnitCell
 
-#: Fewest samples, parts of the cross-validation, and samples near a point that its spline uses.
-_FEWEST, _PARTS, _NEAR = 8, 10, 32
+#: Fewest samples.
+_FEWEST = 8
+#: Parts of the cross-validation.
+_PARTS = 10
+#: Samples near a point that its spline uses.
+_NEAR = 32
 #: Samples whose errors bound that of a point between them.
 _NEIGHBOURS = 6
 #: Distance within which a size is that of a sample (nm).

@@ -32,8 +32,10 @@ _SHAPES = {
     records.NODE: "node",
     records.BOX: "box",
 }
-#: Estimated processor time, s: of the index of a run of elements, of its shapes, and of an empty cell.
-_SECONDS_OF_A_RUN, _SECONDS_OF_SHAPES, _SECONDS_OF_A_CELL = 3e-5, 5e-5, 2e-5
+#: Estimated processor time of a run of elements, s: of its index, and of its shapes.
+_SECONDS_OF_A_RUN, _SECONDS_OF_SHAPES = 3e-5, 5e-5
+#: Estimated processor time of an empty cell, s.
+_SECONDS_OF_A_CELL = 2e-5
 #: Estimated processor time, s, of a coordinate of a polygon, and of a distinct polygon.
 _SECONDS_OF_A_COORDINATE, _SECONDS_OF_A_RING = 2e-8, 5e-6
 #: Placements of an array that are expanded at a time.

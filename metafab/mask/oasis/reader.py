@@ -47,9 +47,12 @@ _SECONDS_OF_A_RECORD = {
     _CELL_BY_NUMBER: 2.5e-5, CELL: 2.5e-5, CBLOCK: 4e-5, **dict.fromkeys(_TABLES, 4e-6),
 }  # fmt: skip
 _SECONDS_OF_A_SHAPE = 1.2e-5
-#: Estimated additional time, s: of a repetition, of a run of placements, and of a shape that is compared with the
-#: pillars.
-_SECONDS_OF_A_REPETITION, _SECONDS_OF_A_REFERENCE, _SECONDS_OF_A_PILLAR = 6e-6, 1e-5, 4e-5
+#: Estimated additional time of a repetition, s.
+_SECONDS_OF_A_REPETITION = 6e-6
+#: Estimated additional time of a run of placements, s.
+_SECONDS_OF_A_REFERENCE = 1e-5
+#: Estimated additional time of a shape that is compared with the pillars, s.
+_SECONDS_OF_A_PILLAR = 4e-5
 #: Estimated processor time, s, of a compiled run, and of each rectangle in it.
 _SECONDS_OF_A_RUN, _SECONDS_OF_A_RECTANGLE = 8e-6, 5e-9
 _LARGEST_RATIO = 1032  # Deflate needs at least two bits for 258 bytes.

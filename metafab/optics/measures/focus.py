@@ -22,8 +22,12 @@ from metafab.optics.stack import psf
 
 #: Pixels per period of the finest fringe, and pixels of the window: 8 wavelengths / NA wide.
 _PER_FRINGE, _WINDOW_PX = 4.0, 64
-#: Samples of a cross-section and of a curve of encircled energy, and their reach in wavelengths / NA.
-_SECTION, _RADII, _REACH = 241, 61, 3.0
+#: Samples of a cross-section.
+_SECTION = 241
+#: Samples of a curve of encircled energy.
+_RADII = 61
+#: Reach of both, wavelengths / NA.
+_REACH = 3.0
 #: Radius of Airy's first dark ring in wavelengths / NA (first zero of J_1 over 2 pi).
 _FIRST_RING = 0.6098
 _AXIS = (0.0, 0.0)

@@ -27,8 +27,10 @@ from metafab.optics.sources.source import Source
 _ENOUGH = 0.5
 #: A place counts if it holds this many times the light of the window.
 _BRIGHTER = 2.0
-#: Fewest and most sites along a side of a block, and most blocks that are transformed.
-_FEWEST_SITES, _MOST_SITES, _MOST_BLOCKS = 16, 256, 4096
+#: Fewest and most sites along a side of a block.
+_FEWEST_SITES, _MOST_SITES = 16, 256
+#: Most blocks that are transformed.
+_MOST_BLOCKS = 4096
 #: Cells of the map, in resolutions, and its reach in sensor distances: light beyond 84 degrees is left out.
 _CELL, _REACH = 0.5, 10.0
 #: Faintest plane wave that is placed, as a share of its block's brightest: many faint ones are no bright place.

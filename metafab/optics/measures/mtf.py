@@ -11,8 +11,10 @@ from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.point_spread import Psf
 from metafab.spec import Device
 
-#: Samples across a standard lens: minimum, increment per radian of rim defocus, and maximum.
-_SAMPLES, _SAMPLES_PER_RAD, _MOST_SAMPLES = 192, 6.0, 1024
+#: Fewest and most samples across a standard lens.
+_SAMPLES, _MOST_SAMPLES = 192, 1024
+#: Further samples for each radian of rim defocus.
+_SAMPLES_PER_RAD = 6.0
 
 
 def modulation_transfer(psf: Psf) -> tuple[FloatArray, FloatArray]:

@@ -8,7 +8,8 @@ from scipy.ndimage import gaussian_filter
 
 from metafab.core.errors import InputError
 from metafab.exposure import ExposedLens, ExposureNumerics, expose_lenses
-from metafab.exposure.fit import MeasuredLens, Parameter, fit_process
+from metafab.exposure.fit import fit_process
+from metafab.exposure.size_model import MeasuredLens, Parameter
 from metafab.layout import PillarMap
 from metafab.spec.mask import Etch, ExposureProcess
 from tests.physics.exposure.conftest import BEAM, PERIOD_NM, disc, pattern
