@@ -127,12 +127,12 @@ class SizeModel:
             self._others_forward = np.stack([others(forward.blurred(float(blur))) for blur in self._nodes])
 
     def first_ratio(self, values: FloatArray) -> float:
-        """Base over clearing dose at which the measured edges are at the clearing energy in the mean."""
+        """Base over clearing dose at which measured edges get the clearing energy on average; ``values``: (7,)."""
         moved = 0.5 * (self.measured_nm - self._drawn)
         return float(1.0 / np.mean(self._dose[:, None] * self._energy(moved, values)))
 
     def sizes_nm(self, values: FloatArray) -> FloatArray:
-        """Sizes for a process, by bisection of the edges: shape (n, 2)."""
+        """Sizes for a process, ``values`` of shape (7,), by bisection of the edges: shape (n, 2)."""
         low, high = -0.5 * self._drawn, np.full_like(self._drawn, _REACH_NM)
         clearing = 1.0 / (values[0] * self._dose[:, None])
         for _ in range(_HALVINGS):
@@ -147,7 +147,7 @@ class SizeModel:
         return np.asarray(printed + values[3] + values[4] * excess[:, None])
 
     def require_within_reach(self, values: FloatArray) -> None:
-        """Refuse a process whose blur out of focus is beyond the interpolation."""
+        """Refuse a process, ``values`` of shape (7,), whose blur out of focus is beyond the interpolation."""
         widest = float(self._blurs_nm(values).max())
         if widest > self._widest_nm:
             expected = f"a blur of at most {self._widest_nm:g} nm at each focus"
