@@ -143,7 +143,8 @@ def _read(design: Design, number: int, item: Include) -> IncludedCell:
             worst = polygon.points[int(np.abs(exact - corners).max(axis=1).argmax())]
             expected = f"corners on the grid of {unit_nm:g} nm"
             got = f"({worst[0]:g}, {worst[1]:g}) of cell {name}, in units of {library.unit:g} m"
-            raise InputError.single(design.name, f"{key}.file", expected, got, "choose a finer `database_unit_nm`")
+            remedy = "choose a finer `database_unit_nm`, or round turned and scaled references in the file"
+            raise InputError.single(design.name, f"{key}.file", expected, got, remedy)
         if len(corners) > _MOST_CORNERS:
             expected = f"polygons of at most {_MOST_CORNERS} corners"
             raise InputError.single(design.name, f"{key}.file", expected, f"{len(corners)}", "fracture the cell")
