@@ -31,6 +31,8 @@ class CellNumerics:
     max_orders: int = 16
     #: Rcwa only: even number of layers that approximate a sloped pillar; None for as many as the target error requires.
     steps: int | None = None
+    #: Rcwa only: derivatives of the amplitudes by both sizes as well, for plain rectangles with upright walls.
+    slopes: bool = False
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,8 @@ class CellResponse(Displayed):
             of the finest solution.
         seconds: time that the solution took.
         details: figures of the solver (orders, condition number, decay, ...).
+        slopes: shape (2, 4), derivatives of t_xx, t_yy, r_xx, r_yy by width and by length, 1/nm; None if not asked for,
+            or not known.
     """
 
     cell: PillarCell
@@ -72,6 +76,7 @@ class CellResponse(Displayed):
     resolution: int
     seconds: float
     details: SolverDetails = SolverDetails()
+    slopes: ComplexArray | None = None
 
     def exchanged(self) -> CellResponse:
         """Response of the cell with x and y exchanged, with `seconds` 0; ValueError where there is no such cell.
@@ -82,7 +87,8 @@ class CellResponse(Displayed):
         if cell is None:
             raise ValueError(f"`cell`: expected one whose axes may be exchanged, got {self.cell}")
         t, r = self.t[::-1, ::-1], self.r[::-1, ::-1]
-        return replace(self, cell=cell, t=t, r=r, seconds=0.0, details=self.details.exchanged())
+        slopes = None if self.slopes is None else self.slopes[::-1, [1, 0, 3, 2]]
+        return replace(self, cell=cell, t=t, r=r, seconds=0.0, details=self.details.exchanged(), slopes=slopes)
 
     @property
     def transmittance(self) -> tuple[float, float]:

@@ -20,8 +20,7 @@ from metafab.cell.elements.solve import FaceSystem, exchanged_places, face_syste
 from metafab.cell.pillar import PillarCell
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.jones import one_thread
-from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
-from metafab.cell.rcwa.scattering.doubling import pull_back_doubled
+from metafab.cell.rcwa.scattering.reverse import pull_back_doubled
 from metafab.cell.rcwa.symmetry import permittivity
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
@@ -104,7 +103,7 @@ class _Solved:
         cell, elements, waves = supercell.cell, elements_of(basis), Waves(basis, order)
         grams = grams_of(basis, elements, cell)
         layer = layer_of(elements, grams, waves, cell.k0_per_nm)
-        system = face_system(layer, supercell, (light,))
+        system = face_system(layer, supercell, (light,), keep=True)
         fields = system.solve(2.0 * system.source, np.zeros_like(system.source))[..., 0]
         inverse, lifted = np.linalg.inv(grams.e), np.linalg.solve(grams.z_eps, grams.gradient.T).T
         return cls(cell, POLARISATIONS.index(light), waves, layer, system, fields, inverse, lifted)
@@ -122,12 +121,11 @@ class _Adjoint:
         (near, far), (near_m, far_m) = solved.fields, multiplier
         # Weights of X and Z are outer products; so are those of F.
         gap, gap_m, mean, mean_m = near - far, near_m - far_m, near + far, near_m + far_m
-        by_p, by_f = np.linalg.solve(layer.p.T, gap_m), np.linalg.solve(system.f, mean_m)
-        f_bar = -1j * (np.outer(by_p, gap) + np.outer(system.z @ mean, by_f))
-        p_bar, q_bar = pull_back_doubled(
-            layer.p, layer.q, k0 * cell.height_nm, largest_eigenvalue(*self._eps), f_bar, last=1
-        )
-        p_bar = p_bar + 1j * np.outer(by_p, system.x @ gap)
+        by_p, by_f = np.linalg.solve(layer.p.T, gap_m), np.linalg.solve(system.half.f, mean_m)
+        left, right = np.stack([by_p, system.z @ mean], axis=1), np.stack([gap, by_f], axis=1)
+        a_bar = pull_back_doubled(system.half, -1j * left[None], right)[0]
+        q_bar = layer.p.T @ a_bar
+        p_bar = a_bar @ layer.q.T + 1j * np.outer(by_p, system.x @ gap)
         self._of_e_eps: Matrix = q_bar + 1j * np.outer(by_f, mean)
         self._of_curl = -self._of_e_eps / k0**2
         self._of_e = -solved.inverse @ p_bar @ solved.inverse

@@ -22,7 +22,7 @@ from metafab.cell.problem import solve
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.jones import one_thread
 from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
-from metafab.cell.rcwa.scattering.doubling import doubled
+from metafab.cell.rcwa.scattering.doubling import Doubling, doubled
 from metafab.cell.rcwa.symmetry import permittivity
 from metafab.cell.response import CellNumerics
 from metafab.cell.supercell import Supercell, SupercellOrders, SupercellResponse
@@ -212,7 +212,7 @@ class FaceSystem:
     h(0) + h(d) = i X (e(0) - e(d)) (:mod:`metafab.cell.rcwa.scattering.doubling`).
     """
 
-    f: Matrix  #: Shape (N, N), F of half the layer.
+    half: Doubling  #: F of half the layer, shape (N, N).
     x: Matrix  #: Shape (N, N), symmetric.
     z: Matrix  #: Shape (N, N), symmetric.
     matrix: ComplexArray  #: Shape (2 N, 2 N), symmetric, for (e(0), e(d)).
@@ -223,21 +223,25 @@ class FaceSystem:
         return np.asarray(np.linalg.solve(self.matrix, np.concatenate([near, far])).reshape(2, *near.shape))
 
 
-def face_system(layer: Layer, supercell: Supercell, lights: Sequence[Polarisation]) -> FaceSystem:
-    """Equations of a layer between its half spaces, one index of each for all lights; SolverError if it is singular."""
+def face_system(
+    layer: Layer, supercell: Supercell, lights: Sequence[Polarisation], *, keep: bool = False
+) -> FaceSystem:
+    """Equations of a layer between its half spaces, one index of each for all lights; SolverError if it is singular.
+
+    The steps of the doubling are kept for its reverse if ``keep`` is true.
+    """
     cell = supercell.cell
     axis = POLARISATIONS.index(lights[0])
     near, far = (layer.admittance(complex(permittivity(n[axis])), cell.k0_per_nm) for n in (cell.n_in, cell.n_out))
     source = np.stack([incident(layer, light, cell.n_in[axis]) for light in lights], axis=1)
     with np.errstate(all="ignore"):  # non-finite values are refused by the caller
         largest = largest_eigenvalue(permittivity(cell.n_ambient), permittivity(cell.n_pillar))
-        half = doubled(layer.p, layer.q, cell.k0_per_nm * cell.height_nm, largest, last=1)
+        half = doubled(layer.p, layer.q, cell.k0_per_nm * cell.height_nm, largest, last=1, keep=keep)
     if half is None:
         raise SolverError("the layer of a supercell is singular")
-    f = half[0]
-    x, z = np.linalg.solve(layer.p, f), np.linalg.solve(f.T, layer.q)
+    x, z = np.linalg.solve(layer.p, half.f), np.linalg.solve(half.f.T, layer.q)
     n = len(x)
     matrix = np.empty((2 * n, 2 * n), dtype=np.complex128)
     matrix[:n, :n], matrix[n:, n:] = 2.0 * near + 1j * (x - z), 2.0 * far + 1j * (x - z)
     matrix[:n, n:] = matrix[n:, :n] = -1j * (x + z)
-    return FaceSystem(f, x, z, matrix, source)
+    return FaceSystem(half, x, z, matrix, source)

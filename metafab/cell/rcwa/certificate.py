@@ -44,6 +44,7 @@ import numpy as np
 from metafab.cell.pillar import PillarCell
 from metafab.cell.rcwa.basis.coordinates import Formulation
 from metafab.cell.rcwa.convergence import Convergence, convergence
+from metafab.cell.rcwa.derivatives import size_slopes
 from metafab.cell.rcwa.jones import ZeroOrder, distance
 from metafab.cell.rcwa.slicing import slicing, smooth
 from metafab.cell.response import CellNumerics, CellResponse, SolverDetails
@@ -212,16 +213,17 @@ def solve(
     known = {} if known is None else known
     for orders in ladder(numerics, falls):
         if (orders, cut.steps) not in known:
-            known[orders, cut.steps] = smooth(cell, orders, numerics.formulation, cut.steps)
+            known[orders, cut.steps] = smooth(cell, orders, numerics.formulation, cut.steps, keep=numerics.slopes)
         last = known[orders, cut.steps]
         earlier = {count: distance(last, coarser) for count, coarser in solved.items()}
         error = bound(orders, earlier, falls, numerics.formulation) + cut.error
         error = max(error, last.conditioning.rounding)
-        solved[orders] = last
+        known[orders, cut.steps] = solved[orders] = replace(last, kept=())
         if error <= numerics.target_error:
             break
     if not (np.isfinite(last.t).all() and np.isfinite(last.r).all()):
         raise SolverError(f"rcwa gave no finite amplitudes with {orders} orders for {cell}")
+    slopes = size_slopes(cell, last, orders, numerics.formulation) if last.kept else None
     details = RcwaDetails(
         formulation=numerics.formulation,
         orders_x=orders,
@@ -247,6 +249,7 @@ def solve(
         resolution=(2 * orders + 1) ** 2,
         seconds=time.perf_counter() - started,
         details=details,
+        slopes=slopes,
     )
 
 

@@ -15,7 +15,7 @@ from metafab.cell.pillar import PillarCell, Slice
 from metafab.cell.rcwa.basis.coordinates import Formulation
 from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
 from metafab.cell.rcwa.scattering import stack
-from metafab.cell.rcwa.scattering.doubling import solve_by_doubling
+from metafab.cell.rcwa.scattering.doubling import LitLayer, solve_by_doubling
 from metafab.cell.rcwa.scattering.half_space import PlaneWaves, Waves, magnetic
 from metafab.cell.rcwa.scattering.modes import NO_MODES, Conditioning, FaceFields, layer_modes, match_modes
 from metafab.cell.rcwa.symmetry import SymmetryClass, permittivity, polarisations_swap, symmetry_classes
@@ -35,6 +35,7 @@ class ZeroOrder:
     coefficients: int  #: Unknowns of the largest symmetry class.
     inconsistency: float  #: Violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
     conditioning: Conditioning  #: Conditioning of the worst layer's modes; 0 where none were used.
+    kept: tuple[SolvedClass, ...] = ()  #: The symmetry classes that were solved, if they were kept.
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class SolvedClass:
     incoming: Waves  #: Waves of the half space that the light comes from.
     outgoing: Waves  #: Waves of the half space behind.
     faces: FaceFields  #: Transmitted and reflected field of incident E_x = 1 and E_y = 1.
+    lit: LitLayer | None  #: Fields lit from either side, with the steps of the doubling; None where they were not kept.
 
     def shares_of_power(self) -> tuple[FloatArray, FloatArray]:
         """Transmitted and reflected power of each coefficient over the incident power, 0 where no light comes in.
@@ -64,7 +66,13 @@ class SolvedClass:
 
 
 def zero_order(
-    cell: PillarCell, orders: int, formulation: Formulation = "adaptive", steps: int = 1, *, by_modes: bool = False
+    cell: PillarCell,
+    orders: int,
+    formulation: Formulation = "adaptive",
+    steps: int = 1,
+    *,
+    by_modes: bool = False,
+    keep: bool = False,
 ) -> ZeroOrder:
     """Solve ``cell`` for its Jones matrices with ``orders`` cosines besides the constant along each axis.
 
@@ -76,16 +84,18 @@ def zero_order(
         steps: a sloped pillar is cut into this number of steps of equal height, each as wide as the pillar in the
             step's middle; :func:`metafab.cell.rcwa.slicing.smooth` takes the limit of many.
         by_modes: solve by modes even where doubling is faster and accurate: an independent check.
+        keep: keep the solved classes, for their derivatives.
 
     Raises:
         InputError: light at an angle meets a birefringent substrate of unknown index along z, or comes out of a biaxial
             or an absorbing one.
     """
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
-    power = np.zeros((2, 2))
+    power, kept = np.zeros((2, 2)), []
     largest, inconsistency, worst = 0, 0.0, NO_MODES
     with one_thread():
-        for solved in solved_classes(cell, orders, formulation, steps, by_modes=by_modes):
+        for solved in solved_classes(cell, orders, formulation, steps, by_modes=by_modes, keep=keep):
+            kept += [solved] if keep else []
             incident, faces = solved.case.incident, solved.faces
             t, r = t + incident.T @ faces.transmitted, r + incident.T @ faces.reflected
             power = power + np.stack([np.sum(each, axis=0) for each in solved.shares_of_power()])
@@ -94,34 +104,42 @@ def zero_order(
             if polarisations_swap(cell):
                 t, r, power = t + t[::-1, ::-1], r + r[::-1, ::-1], power + power[:, ::-1]
                 break
-    return ZeroOrder(t, r, power[0], power[1], largest, inconsistency, worst)
+    return ZeroOrder(t, r, power[0], power[1], largest, inconsistency, worst, tuple(kept))
 
 
 def solved_classes(
-    cell: PillarCell, orders: int, formulation: Formulation, steps: int = 1, *, by_modes: bool = False
+    cell: PillarCell,
+    orders: int,
+    formulation: Formulation,
+    steps: int = 1,
+    *,
+    by_modes: bool = False,
+    keep: bool = False,
 ) -> Iterator[SolvedClass]:
     """Solve the symmetry classes of ``cell`` one by one; arguments as of :func:`zero_order`."""
     for case in symmetry_classes(cell, orders, formulation, steps):
         incoming, outgoing = case.outer_waves()
-        yield SolvedClass(case, incoming, outgoing, _solve(case, incoming, outgoing, by_modes=by_modes))
+        yield SolvedClass(case, incoming, outgoing, *_solve(case, incoming, outgoing, by_modes=by_modes, keep=keep))
 
 
-def _solve(case: SymmetryClass, incoming: Waves, outgoing: Waves, *, by_modes: bool) -> FaceFields:
-    """Field at the faces of the layer or stack, by the faster way that is accurate."""
+def _solve(
+    case: SymmetryClass, incoming: Waves, outgoing: Waves, *, by_modes: bool, keep: bool
+) -> tuple[FaceFields, LitLayer | None]:
+    """Field at the faces of the layer or stack, by the faster way that is accurate; and what is kept of doubling."""
     if len(case.layers) > 1 or not isinstance(incoming, PlaneWaves) or not isinstance(outgoing, PlaneWaves):
         upwards = [
             stack.StackLayer(*case.matrices(i), case.thickness_k0(i), _largest_eigenvalue(layer))
             for i, layer in enumerate(case.layers)
         ]
         layers = upwards if case.cell.side == "substrate" else upwards[::-1]
-        return stack.through_stack(layers, incoming, outgoing, case.incident, slabs=not by_modes)
+        return stack.through_stack(layers, incoming, outgoing, case.incident, slabs=not by_modes), None
     if not by_modes:
         largest_a = _largest_eigenvalue(case.layers[0])
         p, q = case.matrices()
-        faces = solve_by_doubling(p, q, case.thickness_k0(), incoming, outgoing, case.incident, largest_a)
-        if faces is not None:
-            return faces
-    return match_modes(layer_modes(*case.matrices()), case.thickness_k0(), incoming, outgoing, case.incident)
+        lit = solve_by_doubling(p, q, case.thickness_k0(), incoming, outgoing, case.incident, largest_a, keep=keep)
+        if lit is not None:
+            return lit.faces, lit if keep else None
+    return match_modes(layer_modes(*case.matrices()), case.thickness_k0(), incoming, outgoing, case.incident), None
 
 
 def _largest_eigenvalue(layer: Slice) -> float:

@@ -39,13 +39,14 @@ class Slicing:
     error: float  #: Bound on the error of any amplitude from the steps; 0 for upright walls.
 
 
-def smooth(cell: PillarCell, orders: int, formulation: Formulation, steps: int) -> ZeroOrder:
+def smooth(cell: PillarCell, orders: int, formulation: Formulation, steps: int, *, keep: bool = False) -> ZeroOrder:
     """Jones matrices of ``cell`` at one truncation, extrapolated from ``steps`` / 2 and ``steps``; R + T stays exact.
 
-    An upright pillar is solved once. Arguments and errors as of :func:`metafab.cell.rcwa.jones.zero_order`.
+    An upright pillar is solved once, and its classes are kept if ``keep`` is true. Arguments and errors as of
+    :func:`metafab.cell.rcwa.jones.zero_order`.
     """
     if not cell.is_sloped:
-        return zero_order(cell, orders, formulation)
+        return zero_order(cell, orders, formulation, keep=keep)
     return _extrapolated(*(zero_order(cell, orders, formulation, count) for count in (steps // 2, steps)))
 
 

@@ -21,6 +21,7 @@ in the same linear system. If rounding breaks reciprocity between the two, the c
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -44,6 +45,32 @@ THIN = 1.5
 CONSISTENT = 1e-10
 
 
+@dataclass(frozen=True)
+class Doubling:
+    """F and G of a layer; and, where they were kept, the steps of the doubling, for its reverse."""
+
+    f: Matrix  #: Shape (n, n).
+    g: Matrix  #: Shape (n, n).
+    powers: Matrix  #: Shape (4, n, n), powers 1 to 4 of A = P Q.
+    thin_k0: float  #: Thickness of the thin slab times k0.
+    thin: Matrix  #: Shape (n, n), F of the thin slab.
+    ratios: tuple[Matrix, ...] = ()  #: G F^-1 before each doubling, shape (n, n) each; empty if not kept.
+    #: LU factors of the transposes of the thin slab's denominator and of its F; empty if not kept.
+    factors: tuple[tuple[Matrix, Matrix], ...] = ()
+
+
+@dataclass(frozen=True)
+class LitLayer:
+    """Fields that waves from either side excite at the faces of one layer, n coefficients and p waves."""
+
+    faces: FaceFields  #: Light from the near side.
+    from_far: FaceFields  #: Light from the far side with the transverse E of ``far_incident``.
+    far_incident: ComplexArray  #: Shape (n, p).
+    p: Matrix  #: Shape (n, n), P of the layer.
+    q: Matrix  #: Shape (n, n), Q of the layer.
+    half: Doubling  #: F and G of half the layer.
+
+
 def solve_by_doubling(
     p: Matrix,
     q: Matrix,
@@ -52,18 +79,21 @@ def solve_by_doubling(
     outgoing: PlaneWaves,
     incident: ComplexArray,
     largest_a: float = np.inf,
-) -> FaceFields | None:
+    *,
+    keep: bool = False,
+) -> LitLayer | None:
     """Solve one layer for the fields that the waves ``incident`` excite; None if rounding is too large.
 
     ``p`` and ``q`` are those of the layer, shape (n, n); ``incoming`` and ``outgoing`` plane waves of the half spaces
     that the light comes from and behind. ``incident``, shape (n, k), is the transverse E of k waves where the layer
-    begins. ``largest_a`` bounds the real part of the eigenvalues of A, where a bound is known.
+    begins. ``largest_a`` bounds the real part of the eigenvalues of A, where a bound is known. The steps of the
+    doubling are kept for :func:`metafab.cell.rcwa.scattering.reverse.pull_back_doubled` if ``keep`` is true.
     """
     with np.errstate(all="ignore"):  # non-finite values fail the reciprocity test below
-        half = doubled(p, q, thickness_k0, largest_a, last=1)
+        half = doubled(p, q, thickness_k0, largest_a, last=1, keep=keep)
         if half is None:
             return None
-        f, _ = half
+        f = half.f
         # Columns: the incident waves, then equal amplitudes from the far side.
         n, count = incident.shape
         near_wave = np.divide(incident, incoming.e[:, None], out=np.zeros_like(incident), where=incident != 0.0)
@@ -90,7 +120,10 @@ def solve_by_doubling(
         scale = max(np.abs(near_h).max(), np.abs(far_h).max())
         inconsistency = float(np.abs(forward - backward).max() / scale)
     # The comparison fails for NaN too.
-    return FaceFields(e_far[:, :count], e_near[:, :count], inconsistency) if inconsistency <= CONSISTENT else None
+    if not inconsistency <= CONSISTENT:
+        return None
+    faces = FaceFields(e_far[:, :count], e_near[:, :count], inconsistency)
+    return LitLayer(faces, FaceFields(e_near[:, count:], e_far[:, count:], inconsistency), far_e, p, q, half)
 
 
 def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -> tuple[Matrix, Matrix] | None:
@@ -100,62 +133,36 @@ def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -
     """
     with np.errstate(all="ignore"):  # non-finite values reach the result, which the caller tests
         whole = doubled(p, q, thickness_k0, largest_a, last=0)
-        both = None if whole is None else _solve(p, np.hstack(whole))
+        both = None if whole is None else _solve(p, np.hstack([whole.f, whole.g]))
     return None if both is None else (both[:, : len(p)], both[:, len(p) :])
 
 
-def doubled(p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: int) -> tuple[Matrix, Matrix] | None:
+def doubled(
+    p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: int, keep: bool = False
+) -> Doubling | None:
     """F and G of the layer by doubling, without the ``last`` doublings (at least one yields G); None if it fails."""
     powers = _powers(p, q)
     halvings = _halvings(powers, thickness, largest_a)
     if halvings is None:
         return None
-    f, g = _thin_slab(powers, thickness / 2.0**halvings), powers[0]
+    thin_k0, ratios = thickness / 2.0**halvings, []
+    factors: list[tuple[Matrix, Matrix]] | None = [] if keep else None
+    numerator, denominator = lambert(powers, thin_k0)
+    f, g = _quotient(numerator, denominator, factors), powers[0]
+    thin = f
     for doubling in range(halvings - last):
-        g_over_f = None if f is None else _quotient(g, f)
-        if f is None or g_over_f is None:
+        ratio = None if f is None else _quotient(g, f, None if doubling else factors)
+        if f is None or ratio is None:
             return None
         # G F^-1 G in this order: rounding errors that do not commute would grow in another.
-        g = g_over_f @ g if doubling else f + g_over_f
+        g = ratio @ g if doubling else f + ratio
         g *= 0.5
-        f -= g
-    return None if f is None else (f, g)
-
-
-def pull_back_doubled(
-    p: Matrix, q: Matrix, thickness: float, largest_a: float, f_bar: Matrix, *, last: int
-) -> tuple[Matrix, Matrix]:
-    """Derivatives of sum(f_bar * F) by P and by Q, all of shape (n, n): the steps of :func:`doubled` in reverse.
-
-    ``f_bar`` is the weight of each element of F, which :func:`doubled` returns with the other arguments. ValueError if
-    the layer is singular.
-    """
-    powers = _powers(p, q)
-    halvings = _halvings(powers, thickness, largest_a)
-    f = None if halvings is None else _thin_slab(powers, thickness / 2.0**halvings)
-    if f is None or halvings is None:
-        raise ValueError("`p`, `q`: expected a layer that doubling solves, got a singular one")
-    thin, g, ratios = f.copy(), powers[0], []
-    for doubling in range(halvings - last):
-        ratios.append(np.asarray(_quotient(g, f)))
-        g = 0.5 * (ratios[-1] @ g if doubling else f + ratios[-1])
         f = f - g
-    # F' = F - G', G' = G F^-1 G / 2; F and G are functions of one matrix and commute.
-    g_bar = np.zeros_like(f_bar)
-    for ratio in reversed(ratios[1:]):
-        late = g_bar - f_bar
-        turned = ratio.T @ late
-        g_bar = 0.5 * (late @ ratio.T + turned)
-        f_bar = f_bar - 0.5 * turned @ ratio.T
-    a_bar = np.zeros_like(f_bar)
-    if ratios:
-        # G' = (F + A F^-1) / 2 of the thin slab.
-        late = 0.5 * (g_bar - f_bar)
-        over = np.asarray(_solve(thin, late.T)).T
-        a_bar = over
-        f_bar = f_bar + late - ratios[0].T @ over
-    a_bar = a_bar + _pull_back_thin_slab(powers, thickness / 2.0**halvings, thin, f_bar)
-    return np.asarray(a_bar @ q.T), np.asarray(p.T @ a_bar)
+        if keep:
+            ratios.append(ratio)
+    if f is None or thin is None:
+        return None
+    return Doubling(f, g, powers, thin_k0, thin, tuple(ratios), tuple(factors or ()))
 
 
 def _powers(p: Matrix, q: Matrix) -> Matrix:
@@ -188,48 +195,38 @@ def _keep_freed_memory() -> None:
     np.empty(16 << 20, dtype=np.uint8)
 
 
-def _thin_slab(powers: Matrix, thickness: float) -> Matrix | None:
-    """F of a thin slab from ``powers`` 1 to 4 of A, shape (4, n, n)."""
-    numerator, denominator = _lambert(powers, thickness)
-    return _quotient(numerator, denominator)
-
-
-def _lambert(powers: Matrix, thickness: float) -> Matrix:
-    """Numerator and denominator of F of a thin slab, shape (2, n, n)."""
-    scaled = _lambert_coefficients(thickness)
+def lambert(powers: Matrix, thickness: float) -> Matrix:
+    """Numerator and denominator of F of a thin slab, shape (2, n, n), from ``powers`` 1 to 4 of A, shape (4, n, n)."""
+    scaled = lambert_coefficients(thickness)
     parts = np.tensordot(scaled[:, 1:], powers, axes=1)
     n = powers.shape[1]
     parts.reshape(2, n * n)[:, :: n + 1] += scaled[:, :1]
     return np.asarray(parts)
 
 
-def _lambert_coefficients(thickness: float) -> Matrix:
+def lambert_coefficients(thickness: float) -> Matrix:
     """Coefficients of the powers 0 to 4 of A in both, shape (2, 5)."""
     scaled = _LAMBERT * thickness ** (2.0 * np.arange(5))
     scaled[1] *= thickness
     return np.asarray(scaled)
 
 
-def _pull_back_thin_slab(powers: Matrix, thickness: float, f: Matrix, f_bar: Matrix) -> Matrix:
-    """Derivative of sum(f_bar * F) by A, with F = N D^-1 of a thin slab; shape (n, n)."""
-    coefficients = _lambert_coefficients(thickness)
-    n_bar = np.asarray(_solve(_lambert(powers, thickness)[1], f_bar.T)).T
-    d_bar = -f.T @ n_bar
-    one, two, three, four = (coefficients[0, k] * n_bar + coefficients[1, k] * d_bar for k in range(1, 5))
-    a, squared = powers[0].T, powers[1].T
-    two = two + four @ squared + squared @ four + three @ a
-    return np.asarray(one + squared @ three + two @ a + a @ two)
-
-
-def _quotient(numerator: Matrix, denominator: Matrix) -> Matrix | None:
+def _quotient(
+    numerator: Matrix, denominator: Matrix, factors: list[tuple[Matrix, Matrix]] | None = None
+) -> Matrix | None:
     """``numerator`` times the inverse of ``denominator``; None where that does not exist."""
     # LAPACK takes the transpose of a row-major array without a copy.
-    quotient = _solve(denominator.T, numerator.T)
+    quotient = _solve(denominator.T, numerator.T, factors)
     return None if quotient is None else quotient.T
 
 
-def _solve(matrix: Matrix, columns: Matrix) -> Matrix | None:
-    """Solve by LAPACK directly, as NumPy's checks take as long as a small system; None if singular."""
+def _solve(matrix: Matrix, columns: Matrix, factors: list[tuple[Matrix, Matrix]] | None = None) -> Matrix | None:
+    """Solve by LAPACK directly, as NumPy's checks take as long as a small system; None if singular.
+
+    The LU factors of ``matrix`` are appended to ``factors``.
+    """
     gesv = lapack.dgesv if matrix.dtype == columns.dtype == np.float64 else lapack.zgesv
-    _, _, solution, info = gesv(matrix, columns)
+    lu, pivots, solution, info = gesv(matrix, columns)
+    if factors is not None:
+        factors.append((lu, pivots))
     return np.asarray(solution) if info == 0 else None

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from metafab.cell import PillarCell
-from metafab.cell.rcwa import zero_order
+from metafab.cell import CellNumerics, PillarCell, solve
+from metafab.cell.rcwa import RcwaDetails, zero_order
 from metafab.cell.rcwa.basis.coordinates import Formulation
 from metafab.cell.rcwa.derivatives import derivatives
+from metafab.cell.rcwa.scattering import doubling
+from metafab.cell.response import CellResponse
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError
 from tests.paper_cell import SILICON
@@ -69,6 +71,41 @@ def test_derivatives_equal_differences(cell: PillarCell, formulation: Formulatio
 @pytest.mark.parametrize("cell", TILTED, ids=["tilted", "mirror x", "mirror y", "absorbing", "diffracting"])
 def test_derivatives_at_an_angle_equal_differences(cell: PillarCell, formulation: Formulation) -> None:
     _check(cell, 3, formulation)
+
+
+@pytest.mark.parametrize(
+    "cell", [*CELLS, TILTED[0]], ids=["silicon", "square", "anisotropic", "tall", "metal", "tilted"]
+)
+def test_the_reverse_of_doubling_equals_the_modes(cell: PillarCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rounding alone tells them apart: amplitudes by either way differ by up to 2e-9."""
+    found = derivatives(cell, 4)
+    monkeypatch.setattr(doubling, "CONSISTENT", 1e-18)
+    modes = derivatives(cell, 4)
+    for one, other in ((found.d_t, modes.d_t), (found.d_r, modes.d_r)):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-8 * np.abs(other).max())
+
+
+@pytest.mark.parametrize("sizes_nm", [(150.0, 220.0), (180.0, 180.0)], ids=["oblong", "square"])
+def test_slopes_of_a_certified_solution_are_those_of_its_finest_truncation(sizes_nm: tuple[float, float]) -> None:
+    cell = replace(SILICON, width_nm=sizes_nm[0], length_nm=sizes_nm[1])
+    solved = solve(cell, CellNumerics(slopes=True))
+    d_t, d_r = (each[:2].diagonal(axis1=1, axis2=2) for each in _by_size(cell, solved))
+    assert solved.slopes is not None
+    np.testing.assert_allclose(solved.slopes, np.hstack([d_t, d_r]), rtol=1e-9)
+    exchanged = solve(replace(cell, width_nm=sizes_nm[1], length_nm=sizes_nm[0]), CellNumerics(slopes=True))
+    np.testing.assert_allclose(exchanged.slopes, solved.exchanged().slopes, rtol=1e-9)
+
+
+def _by_size(cell: PillarCell, solved: CellResponse) -> tuple[ComplexArray, ComplexArray]:
+    assert isinstance(solved.details, RcwaDetails)
+    found = derivatives(cell, solved.details.orders_x)
+    return found.d_t, found.d_r
+
+
+def test_cells_without_derivatives_have_no_slopes() -> None:
+    numerics = CellNumerics(target_error=1e-2, slopes=True)
+    assert solve(replace(SILICON, sidewall_angle_deg=88.0), numerics).slopes is None
+    assert solve(SILICON, CellNumerics(target_error=1e-2)).slopes is None
 
 
 def test_derivative_by_index_is_analytic() -> None:
