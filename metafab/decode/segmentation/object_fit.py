@@ -28,17 +28,22 @@ from metafab.decode.segmentation.layer_light import LayerOptics, at_depth, textu
 from metafab.decode.segmentation.null_channel import Rectangle
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
-#: Least side of the window, its rim that is not compared, and its least room about a blob, downsampled pixels.
-_SIDE, _RIM, _ROOM = 44, 6, 8
+#: Least side of the window, downsampled pixels.
+_SIDE = 44
+#: Rim of the window that is not compared, and least room about a blob inside of it, downsampled pixels.
+_RIM, _ROOM = 6, 8
 #: Rms contrast of both textures, and the model's error at a pixel as a share of the surface's light.
 _TEXTURE, _MODEL_ERROR = 0.3, 0.006
 #: Error of depth in standard errors of the posterior: rms of 53 squares of 20 to 39 px in three frames (1.0, 1.4, 1.8).
 _ERROR_RATIO = 1.45
-#: Most Gauss-Newton steps, which cross the calibrated depths, steps of conjugate gradients in each, and relative change
-#: of depth that ends them.
-_ROUNDS, _STEPS, _SETTLED = 24, 60, 2e-3
-#: Steps of conjugate gradients as long as a step changes depth by more than this share.
-_STEPS_FAR, _FAR = 20, 0.03
+#: Most Gauss-Newton steps, which cross the calibrated depths.
+_ROUNDS = 24
+#: Relative change of depth that ends them.
+_SETTLED = 2e-3
+#: Steps of conjugate gradients in each of them, and fewer at first or after a large change of depth.
+_STEPS, _STEPS_FAR = 60, 20
+#: Relative change of depth that is large.
+_FAR = 0.03
 #: Relative change of depth below which the textures are integrated out.
 _NEAR = 0.003
 #: Draws of the textures: they move the depth by 0.2 of its error.
