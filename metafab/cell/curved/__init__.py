@@ -1,7 +1,6 @@
 """Ellipses, rings and rounded rectangles by spectral elements along their outlines: PillarCell in, CellResponse out.
 
-- ``quads``      curved quadrilaterals by transfinite interpolation
-- ``mesh``       a quarter of the cell as quadrilaterals, and the cells that have one
+- ``mesh``       a quarter of the cell as curved quadrilaterals, and the cells that have one
 - ``functions``  the functions of the field, their numbers and their values
 - ``layers``     Jones matrices at one polynomial order
 - ``solve``      adaptive order, the bound on the error, and efficiencies of single orders

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.cell.curved.mesh import QuarterMesh
-from metafab.cell.curved.quads import Point, Quad
+from metafab.cell.curved.mesh import Point, Quad, QuarterMesh
 from metafab.cell.elements.basis import Element
 from metafab.cell.elements.line import shapes
 from metafab.cell.rcwa.basis.coordinates import IntArray

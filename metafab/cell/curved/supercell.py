@@ -13,8 +13,7 @@ import numpy as np
 
 from metafab.cell.curved.functions import functions_of
 from metafab.cell.curved.layers import MeshMatrices
-from metafab.cell.curved.mesh import QuarterMesh, untreated
-from metafab.cell.curved.quads import Arc, Point, Quad
+from metafab.cell.curved.mesh import Arc, Point, Quad, QuarterMesh, untreated
 from metafab.cell.elements.assembly import Layer, RealWaves
 from metafab.cell.pillar import PillarCell, Slice
 from metafab.cell.rcwa.basis.coordinates import IntArray

@@ -1,8 +1,8 @@
 """Supercells of upright pillars by spectral elements and plane waves: a Supercell in, its transmitted orders out.
 
-- ``line``      polynomials on the side of an element, and their numbers along one axis, periodic or mirrored
+- ``line``      polynomials on the side of an element, and their numbers along one axis, periodic or mirrored;
+                sums of the functions of a row that is its own mirror image
 - ``mesh``      pillars and gaps as quadrilaterals, and the singular function of a corner
-- ``mirror``    sums of the functions of a row that is its own mirror image
 - ``basis``     the functions, and their values on each element
 - ``assembly``  matrices of the layer, and overlaps with the plane waves of the half spaces
 - ``solve``     the layer by doubling, the orders, and the bound on their error

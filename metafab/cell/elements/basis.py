@@ -8,9 +8,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metafab.cell.elements.line import Line, Places, graded_quadrature, mirrored_line, periodic_line, shapes
+from metafab.cell.elements.line import (
+    Fold,
+    Line,
+    Places,
+    folds,
+    graded_quadrature,
+    mirrored_line,
+    periodic_line,
+    shapes,
+)
 from metafab.cell.elements.mesh import Geometry, Mesh, corner_function, geometry, mesh_of, singular_exponent
-from metafab.cell.elements.mirror import Fold, folds
 from metafab.cell.rcwa.basis.coordinates import IntArray
 from metafab.cell.rcwa.symmetry import permittivity
 from metafab.cell.supercell import Supercell

@@ -10,7 +10,7 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.exposure import BeamPsf, BeamTerm, beam_psf
-from metafab.exposure.electrons.presets import PRESETS
+from metafab.exposure.electrons.process import PRESETS
 from metafab.spec.mask import ExposureProcess
 from tests.physics.exposure.conftest import BEAM
 
