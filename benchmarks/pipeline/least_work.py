@@ -21,13 +21,13 @@ _ORDER = 512
 
 
 def solver_s(unit_cell: UnitCell) -> float:
-    """Mean processor time of the solver for one size of a sweep, to the error that a build asks for."""
+    """Mean processor time of the solver for one size of a sweep, to the error that a build asks for, with slopes."""
     sweep = unit_cell.sweep
     sizes_nm = np.random.default_rng(1).uniform(0.0, 1.0, (_SAMPLED_SIZES, 2))
     spans = (sweep.width_nm, sweep.length_nm)
     cells = [pillar_cell(unit_cell, *(low + u * (high - low) for u, (low, high) in zip(pair, spans, strict=True)))
              for pair in sizes_nm.tolist()]  # fmt: skip
-    numerics = CellNumerics(target_error=solver_target(unit_cell), solver=unit_cell.solver.name)
+    numerics = CellNumerics(target_error=solver_target(unit_cell), solver=unit_cell.solver.name, slopes=True)
     solve(cells[0], numerics)
     return least_seconds(lambda: [solve(cell, numerics) for cell in cells]) / len(cells)
 

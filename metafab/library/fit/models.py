@@ -74,7 +74,7 @@ def fit_size_models(
         mirrored = some.width_nm != some.length_nm if exchange else None
         return fit_model(some, shape, spans_nm, mirrored, penalised)
 
-    equations = int(np.count_nonzero(~held_out)) * (2 if exchange else 1)
+    equations = samples[~held_out].equations * (2 if exchange else 1)
     return _fit_ranked(samples, held_out, _size_shapes(equations), fit, 2)
 
 
@@ -92,7 +92,7 @@ def fit_corner_models(
 
     sizes = 1 if np.array_equal(samples.width_nm, samples.length_nm) else 2
     # The mirror image of a circle is the circle itself: no equation more.
-    equations = int(np.count_nonzero(~held_out)) * (2 if exchange and sizes == 2 else 1)
+    equations = samples[~held_out].equations * (2 if exchange and sizes == 2 else 1)
     shapes = corner_shapes(equations, samples.axes.shape[1], sizes)
     # The worst candidate is not used as a rival.
     return _fit_ranked(samples, held_out, shapes, fit, max(2, min(CORNER_MODELS, len(shapes) - 1)))

@@ -10,6 +10,9 @@ The fit is the iteration of Sanathanan and Koerner (IEEE Trans. Autom. Control 8
 D f - N, weighted by 1/|D| of the round before, so that finally the error of f itself is minimised. N is eliminated by
 a projection (variable projection). D is then the last singular vector of a narrow matrix.
 
+Slopes of the amplitudes by width and length, where the solver gives them, are further equations: the derivative of
+D f - N. With them 60 to 80 sizes determine a model as well as 220 sizes by their values alone.
+
 Samples alone do not exclude a pole with a zero next to it (a Froissart doublet), which noise would produce. A penalty
 on D that grows by a constant factor with each degree suppresses it. At the low degrees the penalty is far below the
 solver's errors. With 200 samples it lowers the held-out error from 4e-4 to 2e-4 (rms).
@@ -17,13 +20,16 @@ solver's errors. With 200 samples it lowers the held-out error from 4e-4 to 2e-4
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import NDArray
+from scipy.linalg import svd
 
 from metafab.core.conventions import ComplexArray, FloatArray
 
@@ -34,6 +40,11 @@ Degrees = tuple[int, int]
 _ROUNDS = 3
 # Largest weight over the median weight, so that no single sample dominates the fit.
 _LARGEST_WEIGHT = 1e3
+# Weight of a slope over a span of -1 to 1, relative to a value: from 72 and 88 sizes of silicon at 800 nm, models of
+# nine pairs of degrees were best with 0.2; with 0.05 they were off by up to twice as much. Slopes f' above 1 / 0.2
+# weigh 1 / |f'|: a solver's error that shifts a resonance is f' times the shift in a value, and about f'^2 times the
+# shift in a slope. Without this rule amorphous silicon at 940 nm took 344 sizes, with it 229.
+_SLOPE_WEIGHT = 0.2
 # Penalty on the denominator's constant, relative to the norm of all samples, and its growth per degree.
 _PENALTY, _PENALTY_GROWTH = 1e-7, 1.8
 
@@ -74,18 +85,23 @@ class Samples:
     length_nm: FloatArray  #: Shape (n,), length as made.
     amplitudes: ComplexArray  #: Shape (n, 4), t_xx, t_yy, r_xx, r_yy.
     axes: FloatArray  #: Shape (n, n_variables), the further axes of the sweep, each in -1..1.
+    slopes: ComplexArray  #: Shape (n, 2, 4), derivatives of the amplitudes by width and length, 1/nm; NaN if unknown.
+
+    @property
+    def equations(self) -> int:
+        """Number of values and slopes of one amplitude."""
+        return int(self.width_nm.size + np.count_nonzero(np.isfinite(self.slopes[:, :, 0])))
 
     def __getitem__(self, which: NDArray[np.bool_]) -> Samples:
-        return Samples(self.width_nm[which], self.length_nm[which], self.amplitudes[which], self.axes[which])
+        return Samples(*(each[which] for each in self._arrays))
+
+    @property
+    def _arrays(self) -> tuple[Any, ...]:
+        return self.width_nm, self.length_nm, self.amplitudes, self.axes, self.slopes
 
     def joined(self, more: Samples) -> Samples:
         """Return these samples followed by ``more``."""
-        return Samples(
-            np.concatenate([self.width_nm, more.width_nm]),
-            np.concatenate([self.length_nm, more.length_nm]),
-            np.concatenate([self.amplitudes, more.amplitudes]),
-            np.concatenate([self.axes, more.axes]),
-        )
+        return Samples(*(np.concatenate(pair) for pair in zip(self._arrays, more._arrays, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -145,17 +161,11 @@ def fit_model(
             polarisations. None where t_yy(W, L) is not t_xx(L, W).
         penalised: whether high degrees of the denominator are penalised.
     """
-    u, v = scaled(samples.width_nm, spans_nm[0]), scaled(samples.length_nm, spans_nm[1])
-    x_values, y_values = samples.amplitudes[:, [0, 2]], samples.amplitudes[:, [1, 3]]
+    x, y = (_Equations.of(samples, spans_nm, polarisation) for polarisation in (0, 1))
     if mirrored is None:
-        above, below = _bases(shape, u, v, samples.axes)
-        fits = [_fit_coefficients(above, below, values, shape, penalised) for values in (x_values, y_values)]
+        fits = [_fit_coefficients(shape, each, penalised) for each in (x, y)]
     else:
-        mirror_u, mirror_v = np.concatenate([u, v[mirrored]]), np.concatenate([v, u[mirrored]])
-        axes = np.concatenate([samples.axes, samples.axes[mirrored]])
-        above, below = _bases(shape, mirror_u, mirror_v, axes)
-        values = np.concatenate([x_values, y_values[mirrored]])
-        n, d = _fit_coefficients(above, below, values, shape, penalised)
+        n, d = _fit_coefficients(shape, x.with_mirrored(y, mirrored), penalised)
         fits = [(n, d), (n, d)]
         if shape.sizes == 2:
             swap_above, swap_below = (_exchange_permutation(powers) for powers in shape.powers)
@@ -171,31 +181,74 @@ def scaled(size_nm: FloatArray, span_nm: Range) -> FloatArray:
     return np.asarray((2.0 * size_nm - (low + high)) / (high - low), dtype=np.float64)
 
 
-def _fit_coefficients(
-    above: FloatArray, below: FloatArray, values: ComplexArray, shape: Shape, penalised: bool
-) -> tuple[ComplexArray, ComplexArray]:
-    """Numerators (n_terms, n_channels) and denominator (n_terms,) for values (n, n_channels) at the samples.
+class _Equations(NamedTuple):
+    """What n samples of one polarisation say of its model."""
 
-    ``above`` and ``below``, shape (n, n_terms) each, are the basis functions of numerators and denominator.
-    """
-    weight = np.ones(above.shape[0])
+    place: FloatArray  #: Shape (n, 2 + n_variables), sizes and axes, each in -1..1.
+    values: ComplexArray  #: Shape (n, 2), t and r.
+    slopes: ComplexArray  #: Shape (n, 2, 2), their derivatives by the two sizes in -1..1; NaN if unknown.
+
+    @classmethod
+    def of(cls, samples: Samples, spans_nm: tuple[Range, Range], polarisation: int) -> _Equations:
+        """Equations for incident x (``polarisation`` 0) or y light (1)."""
+        sizes = [scaled(size, span) for size, span in zip((samples.width_nm, samples.length_nm), spans_nm, strict=True)]
+        place = np.concatenate([np.stack(sizes, axis=1), samples.axes], axis=1)
+        half_nm = np.array([0.5 * (high - low) if high > low else math.nan for low, high in spans_nm])
+        channels = slice(polarisation, None, 2)
+        return cls(place, samples.amplitudes[:, channels], samples.slopes[:, :, channels] * half_nm[:, None])
+
+    def with_mirrored(self, other: _Equations, which: NDArray[np.bool_]) -> _Equations:
+        """These equations and the mirror images of some of the other polarisation's."""
+        place = other.place[which]
+        place[:, :2] = place[:, 1::-1]
+        images = _Equations(place, other.values[which], other.slopes[which][:, ::-1])
+        return _Equations(*(np.concatenate(pair) for pair in zip(self, images, strict=True)))
+
+
+def _fit_coefficients(shape: Shape, equations: _Equations, penalised: bool) -> tuple[ComplexArray, ComplexArray]:
+    """Numerators (n_terms, n_channels) and denominator (n_terms,) for the equations of one polarisation."""
+    place, values, slopes = equations
+    below = _product(place, shape.powers[1])
+    # Rows of N and of D f, for each channel: values, then slopes by both sizes.
+    row, above, columns = [np.arange(len(place))], [_product(place, shape.powers[0])], [values.T[:, :, None] * below]
+    for by in (0, 1):
+        known = np.flatnonzero(np.isfinite(slopes[:, by, 0]))
+        d_above, d_below = (_product(place[known], powers, by) for powers in shape.powers)
+        row.append(known)
+        steepest = np.nanmax(np.abs(slopes[known]), axis=(1, 2))
+        share = 1.0 / np.maximum(steepest, 1.0 / _SLOPE_WEIGHT)[:, None]
+        above.append(share * d_above)
+        of_slope, of_value = slopes[known, by].T[:, :, None], values[known].T[:, :, None]
+        columns.append(share * (of_slope * below[known] + of_value * d_below))
+    of_n, of_d, sample = np.concatenate(above), np.concatenate(columns, axis=1), np.concatenate(row)
+    weight = np.ones(len(place))
     penalty = np.zeros(below.shape[1])
     if penalised:
         penalty = _PENALTY * _PENALTY_GROWTH ** shape.powers[1].sum(axis=1).astype(np.float64)
     denominator = np.zeros(below.shape[1], dtype=np.complex128)
     for _ in range(_ROUNDS):
-        q = np.linalg.qr(above * weight[:, None])[0]
-        columns = (weight[:, None] * values).T[:, :, None] * below
-        rest = columns - q @ (q.T @ columns)
+        of_row = weight[sample, None]
+        q = np.linalg.qr(of_n * of_row)[0]
+        weighted = of_d * of_row
+        rest = weighted - q @ (q.T @ weighted)
         # A tall matrix and its triangular factor have equal right singular vectors.
         triangle = np.linalg.qr(rest.reshape(-1, below.shape[1]), mode="r")
         norm = float(np.linalg.norm(weight[:, None] * values))
-        denominator = np.conj(np.linalg.svd(np.concatenate([triangle, np.diag(norm * penalty)]))[2][-1])
+        denominator = _null_vector(np.concatenate([triangle, np.diag(norm * penalty)]))
         size = np.abs(below @ denominator)
         weight = 1.0 / np.maximum(size, np.median(size) / _LARGEST_WEIGHT)
-    target = values * (weight * (below @ denominator))[:, None]
-    numerator = np.linalg.lstsq(above * weight[:, None], target, rcond=None)[0]
+    of_row = weight[sample, None]
+    numerator = np.linalg.lstsq(of_n * of_row, (of_d @ denominator).T * of_row, rcond=None)[0]
     return numerator.astype(np.complex128), denominator
+
+
+def _null_vector(matrix: ComplexArray) -> ComplexArray:
+    """Vector, shape (n,), of unit length that ``matrix``, shape (m, n), makes smallest."""
+    try:
+        return np.asarray(np.conj(np.linalg.svd(matrix)[2][-1]))
+    except np.linalg.LinAlgError:
+        # Divide and conquer may fail where singular values reach from 1e3 to rounding; QR iteration does not.
+        return np.asarray(np.conj(svd(matrix, lapack_driver="gesvd")[2][-1]))
 
 
 @cache
@@ -234,13 +287,26 @@ def _bases(shape: Shape, u: FloatArray, v: FloatArray, axes: FloatArray) -> tupl
     return above, below
 
 
-def _product(points: FloatArray, powers: NDArray[np.intp]) -> FloatArray:
-    """Products of Chebyshev polynomials: points (n, d) and powers (n_terms, d) -> shape (n, n_terms)."""
+def _product(points: FloatArray, powers: NDArray[np.intp], by: int | None = None) -> FloatArray:
+    """Products of Chebyshev polynomials: points (n, d) and powers (n_terms, d) -> shape (n, n_terms).
+
+    With ``by``, their derivatives by that coordinate.
+    """
     value: FloatArray | None = None
-    for column, power in zip(points.T, powers.T, strict=True):
-        factor = chebyshev.chebvander(column, int(power.max()))[:, power]
+    for k, (column, power) in enumerate(zip(points.T, powers.T, strict=True)):
+        table = chebyshev.chebvander(column, int(power.max()))
+        factor = (table @ _derivatives(table.shape[1] - 1) if k == by else table)[:, power]
         value = factor if value is None else value * factor
     return np.ones((points.shape[0], powers.shape[0])) if value is None else value
+
+
+@cache
+def _derivatives(degree: int) -> FloatArray:
+    """Coefficients of the derivatives of T_0 .. T_degree, one a column: shape (degree + 1, degree + 1)."""
+    columns = np.zeros((degree + 1, degree + 1))
+    for k in range(1, degree + 1):
+        columns[:k, k] = chebyshev.chebder(np.eye(degree + 1)[k])[:k]
+    return columns
 
 
 def _tensor(u: FloatArray, v: FloatArray, degree: int, coefficients: ComplexArray) -> ComplexArray:

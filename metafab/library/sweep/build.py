@@ -22,7 +22,14 @@ from metafab.library.axes import CornerBox, Corners, corner_unit_cell
 from metafab.library.fit.size_grid import SizeGrid
 from metafab.library.library import BuildTime, Library, inputs_of
 from metafab.library.store import is_current, load, save
-from metafab.library.sweep.adaptive_sampling import FIRST_ROUND, GridSampling, PointSolver, amplitudes_of, sample_grid
+from metafab.library.sweep.adaptive_sampling import (
+    FIRST_ROUND,
+    GridSampling,
+    PointSolver,
+    amplitudes_of,
+    sample_grid,
+    without_slopes,
+)
 from metafab.library.sweep.checkpoint import Checkpoint
 from metafab.library.sweep.corner_sampling import CornerNumerics, CornerSequence, sample_corners
 from metafab.library.sweep.off_grid import OffGridSampler, OffGridSampling, RoundLimits
@@ -158,7 +165,8 @@ def _build(
     with threadpool_limits(1):
         cell_numerics = CellNumerics(target_error=SOLVER_SHARE * target, solver=unit_cell.solver.name)
         first_round = grid.size if numerics.every_size else FIRST_ROUND
-        size_numerics = replace(cell_numerics, target_error=solver_target(unit_cell, every_size=numerics.every_size))
+        size_target = solver_target(unit_cell, every_size=numerics.every_size)
+        size_numerics = replace(cell_numerics, target_error=size_target, slopes=not numerics.every_size)
         sizes = PointSolver(partial(grid.cell, unit_cell), size_numerics, solver, executor, record, progress)
         sampling = sample_grid(grid, sizes, tolerance, first_round=first_round)
         sampler = OffGridSampler(unit_cell, sampling, sizes, numerics.off_grid)
@@ -167,7 +175,8 @@ def _build(
         if (box := CornerBox.of(unit_cell)) is not None:
             sequence = CornerSequence(unit_cell, box, sampler.end_number, numerics.corners.sequence)
             points = replace(sizes, cell_of=sequence.cell, numerics=cell_numerics, step="library over its axes")
-            corners = sample_corners(grid, box, sequence, sampling.solved, points, tolerance, numerics.corners)
+            nominal = without_slopes(sampling.solved)
+            corners = sample_corners(grid, box, sequence, nominal, points, tolerance, numerics.corners)
     progress("library", len(record.points), len(record.points))
     library = _library(unit_cell, sampling, off_grid, sampler.certified_errors(off_grid), corners)
     solver_seconds = [point.seconds for point in (*sampling.solved.values(), *off_grid.solved.values())]

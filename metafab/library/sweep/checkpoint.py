@@ -41,7 +41,9 @@ class SolvedPoint:
     """The solver's answer for one cell or one row."""
 
     number: int  #: Number of the cell or row.
-    amplitudes: tuple[complex, ...]  #: t_xx, t_yy, r_xx, r_yy of a cell, or the orders of a row of pillars.
+    #: t_xx, t_yy, r_xx, r_yy of a cell, then their derivatives by width and by length where these are known (1/nm); or
+    #: the orders of a row of pillars.
+    amplitudes: tuple[complex, ...]
     error: float  #: The solver's certificate, a bound on the absolute error of each amplitude.
     seconds: float  #: Time of the solver.
 

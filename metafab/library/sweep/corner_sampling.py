@@ -24,7 +24,7 @@ from metafab.library.axes import CornerBox, Corners, corner_cell
 from metafab.library.fit.models import RankedModels, fit_corner_models
 from metafab.library.fit.rational import Range, RationalModel, Samples
 from metafab.library.fit.size_grid import IndexArray, SizeGrid
-from metafab.library.sweep.adaptive_sampling import PointSolver, amplitudes_of, samples_at
+from metafab.library.sweep.adaptive_sampling import PointSolver, amplitudes_of, samples_at, slopes_of
 from metafab.library.sweep.checkpoint import SolvedPoint
 from metafab.spec import UnitCell
 
@@ -181,7 +181,8 @@ class _SolvedCells:
         return cls(samples, np.array([point.error for point in nominal.values()]), np.zeros(0, dtype=np.intp))
 
     def with_new(self, sequence: CornerSequence, batch: IndexArray, answers: list[SolvedPoint]) -> _SolvedCells:
-        new = Samples(sequence.width_nm[batch], sequence.length_nm[batch], amplitudes_of(answers), sequence.axes[batch])
+        sizes_nm = sequence.width_nm[batch], sequence.length_nm[batch]
+        new = Samples(*sizes_nm, amplitudes_of(answers), sequence.axes[batch], slopes_of(answers))
         certificate = np.concatenate([self.certificate, [point.error for point in answers]])
         return _SolvedCells(self.samples.joined(new), certificate, np.concatenate([self.taken, batch]))
 

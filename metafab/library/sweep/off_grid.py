@@ -6,7 +6,7 @@ until it is small everywhere.
 
 A model may also be right on a resonance where the error bound is too large: the solved sizes around it are less steep,
 and :func:`~metafab.library.fit.certificate.solver_errors` scales their certificates by the ratio of slopes. A size
-solved at the steepest place has a certificate of its own.
+solved at the steepest place has a certificate of its own; if that is not enough, the size of the grid itself is solved.
 
 Sizes off the grid are no sizes of the library. They only improve its model and error bounds.
 """
@@ -44,8 +44,8 @@ class RoundLimits:
 
     disagreement_sizes: int = 12  #: Sizes of a round against disagreement.
     disagreement_rounds: int = 8  #: Rounds against disagreement.
-    steep_sizes: int = 24  #: Sizes of a round at steep places.
-    steep_rounds: int = 4  #: Rounds at steep places.
+    steep_sizes: int = 12  #: Sizes of a round at steep places: one answer counts for its neighbours as well.
+    steep_rounds: int = 8  #: Rounds at steep places.
 
 
 @dataclass(frozen=True)
@@ -86,8 +86,11 @@ class OffGridSampler:
         self.fine = self.grid.refined(PARTS)
         self.end_number = self.grid.size + self.fine.size
         self._sampling, self._limits, self._fit = sampling, limits, fit
+        slopes = any(len(point.amplitudes) > 4 for point in sampling.solved.values())
         self._solve_points = replace(
-            solve_points, cell_of=lambda number: self.fine.cell(unit_cell, number - self.grid.size)
+            solve_points,
+            cell_of=lambda number: self.fine.cell(unit_cell, number - self.grid.size),
+            numerics=replace(solve_points.numerics, slopes=slopes),
         )
 
     def sample_disagreement(self, tolerance: float) -> OffGridSampling:
@@ -129,11 +132,12 @@ class OffGridSampler:
         for _ in range(self._limits.steep_rounds):
             bound = self.certified_errors(off_grid)[1] + off_grid.between_error
             worst = worst_points(self.grid, bound, (bound <= target).ravel(), self._limits.steep_sizes)
-            places = dict.fromkeys(self._steepest(slope, *divmod(int(k), self.grid.width_nm.size)) for k in worst)
-            batch = np.array([number for number in places if number not in off_grid.solved], dtype=np.intp)
+            places = (self._places(slope, *divmod(int(k), self.grid.width_nm.size)) for k in worst)
+            open_places = ([number for number in each if number not in off_grid.solved][:1] for each in places)
+            batch = np.array(list(dict.fromkeys(number for each in open_places for number in each)), dtype=np.intp)
             if not batch.size:
                 break
-            new = self._solve(batch, len(off_grid.solved))
+            new = self._solve(batch, len(off_grid.solved), slopes=False)
             residual = _around(_residual(self.fine, off_grid.models, new))
             between_error = np.maximum(off_grid.between_error, residual)
             off_grid = replace(off_grid, solved={**off_grid.solved, **new}, between_error=between_error)
@@ -149,14 +153,15 @@ class OffGridSampler:
             sizes_nm, error = np.concatenate([sizes_nm, sizes_nm[::-1]], axis=1), np.tile(error, 2)
         return solver_errors(self.grid, sizes_nm, error, None if off_grid.models is None else off_grid.models.best)
 
-    def _solve(self, batch: IndexArray, already_solved: int) -> dict[int, SolvedPoint]:
-        """Answers by number on the finer grid."""
-        first = self.grid.size
-        answers = self._solve_points(batch + first, len(self._sampling.solved) + already_solved + batch.size)
+    def _solve(self, batch: IndexArray, already_solved: int, *, slopes: bool = True) -> dict[int, SolvedPoint]:
+        """Answers by number on the finer grid; without slopes where no model is fitted to them."""
+        first, numerics = self.grid.size, self._solve_points.numerics
+        solve_points = replace(self._solve_points, numerics=replace(numerics, slopes=numerics.slopes and slopes))
+        answers = solve_points(batch + first, len(self._sampling.solved) + already_solved + batch.size)
         return {number - first: point for number, point in answers.items()}
 
-    def _steepest(self, slope: FloatArray, row: int, column: int) -> int:
-        """Number on the finer grid of the steepest place up to half a step around a size.
+    def _places(self, slope: FloatArray, row: int, column: int) -> tuple[int, int]:
+        """Numbers on the finer grid of the steepest place up to half a step around a size, and of the size itself.
 
         ``slope`` has shape ((n_length - 1) SUBSTEPS + 1, (n_width - 1) SUBSTEPS + 1).
         """
@@ -164,7 +169,8 @@ class OffGridSampler:
         top, left = max(row * SUBSTEPS - half, 0), max(column * SUBSTEPS - half, 0)
         window = slope[top : row * SUBSTEPS + half + 1, left : column * SUBSTEPS + half + 1]
         down, right = np.unravel_index(int(np.argmax(window)), window.shape)
-        return (top + int(down)) * scale * self.fine.width_nm.size + (left + int(right)) * scale
+        steepest = (top + int(down)) * scale * self.fine.width_nm.size + (left + int(right)) * scale
+        return steepest, row * PARTS * self.fine.width_nm.size + column * PARTS
 
 
 def _disagreement(grid: SizeGrid, models: RankedModels) -> FloatArray:

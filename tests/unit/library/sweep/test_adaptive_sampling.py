@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import cast
 
@@ -9,10 +10,12 @@ import numpy as np
 import pytest
 
 from metafab import library
+from metafab.cell import CellNumerics, CellResponse, PillarCell
 from metafab.library.fit.models import RankedModels
 from metafab.library.fit.rational import RationalModel
 from metafab.library.fit.size_grid import SizeGrid
-from metafab.library.sweep.adaptive_sampling import FIRST_ROUND, error_ratio, sample_grid
+from metafab.library.sweep.adaptive_sampling import FIRST_ROUND, ROUNDS_WITH_SLOPES, error_ratio, sample_grid
+from metafab.library.sweep.checkpoint import SolvedPoint
 from metafab.spec import UnitCell
 from tests import library_ridges as ridges
 from tests.unit.library.sweep.conftest import Solving
@@ -45,3 +48,31 @@ def test_progress_foresees_no_more_than_it_can_know(cell: UnitCell) -> None:
     assert seen[0][1] == FIRST_ROUND
     assert all(done <= total for done, total in seen)
     assert seen[-1] == (built.statistics.points_solved,) * 2
+
+
+def test_slopes_take_the_place_of_sizes(cell: UnitCell) -> None:
+    values, slopes = (library.build(cell, solver=solver) for solver in (ridges.solve, ridges.solve_with_slopes))
+    true = np.vectorize(ridges.amplitude)(*np.meshgrid(slopes.width_nm, slopes.length_nm))
+    for built in (values, slopes):
+        assert np.all(np.abs(built.t_xx[0] - true) <= built.error_of_sizes)
+    assert slopes.statistics.points_solved < 0.8 * values.statistics.points_solved
+
+
+def test_slopes_serve_the_first_rounds_alone(cell: UnitCell, grid: SizeGrid, solving: Solving) -> None:
+    """Models that never agree: after the last round with slopes neither solver nor fit is asked for them."""
+    asked, fitted = [], []
+    never = RankedModels(cast(RationalModel, ridges.Shifted(5e-3)), (cast(RationalModel, ridges.Shifted(0.0)),))
+
+    def solver(cell: PillarCell, numerics: CellNumerics) -> CellResponse:
+        asked.append(numerics.slopes)
+        return ridges.solve_with_slopes(cell, numerics)
+
+    def fit(_: SizeGrid, solved: dict[int, SolvedPoint], *__: object) -> RankedModels:
+        fitted.append(max(len(point.amplitudes) for point in solved.values()))
+        return never
+
+    points = solving(partial(grid.cell, cell), solver)
+    sample_grid(grid, replace(points, numerics=replace(points.numerics, slopes=True)), 2e-4, fit=fit)
+    assert fitted[:ROUNDS_WITH_SLOPES] == [12] * (ROUNDS_WITH_SLOPES - 1) + [4]
+    assert asked[0]
+    assert not asked[-1]
