@@ -101,7 +101,7 @@ class Rules(Checked):
     cd_sigma_nm: NonNegative = 0.0
     #: Choose sizes for the light that pillars have among their neighbours, by the library's model of them: one by one,
     #: or, with "table", by one look-up that is made from a sample of the mask.
-    neighbours: Flag | Literal["table"] = False
+    neighbours: Literal[False, True, "table"] = False
     #: Use only sizes that respond equally to both polarisations by symmetry: equal width and length, or crosses, in a
     #: square cell.
     polarisation_independent: Flag = False
