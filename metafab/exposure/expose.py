@@ -94,7 +94,7 @@ class Walls:
 
 @dataclass(frozen=True)
 class ExposureFigures:
-    """Figures of an exposure."""
+    """Figures of an exposure; those of sizes are NaN if no pillar prints."""
 
     pillars: int  #: Number of pillars.
     #: Rms of printed less wanted size over widths and lengths. The wanted sizes are those of the mask before
@@ -117,6 +117,11 @@ class ExposureFigures:
     walls: Walls | None = optional()  #: Foot and top of the resist; None without a contrast.
     continuous_rms_nm: float | None = optional()  #: Rms size error before doses are rounded to classes, if they are.
     continuous_max_nm: float | None = optional()  #: Largest magnitude, likewise.
+
+    @property
+    def prints_nothing(self) -> bool:
+        """Whether no pillar prints."""
+        return self.unprinted == self.pillars
 
 
 @dataclass(frozen=True)
@@ -205,7 +210,8 @@ def expose_lenses(
         numerics: classes; samples and kept sizes of the first lens.
 
     Raises:
-        InputError: no pillar, a pattern that cannot be printed, or shapes of several lenses.
+        InputError: no pillar, a pattern that cannot be printed, shapes of several lenses, or a correction at a base
+            dose at which nothing prints.
     """
     first = lenses[0]
     if correction == "shape" and len(lenses) > 1:
@@ -247,6 +253,9 @@ def expose_lenses(
                 sums = continuous[key]
                 figures = replace(figures, continuous_rms_nm=sums.rms_nm, continuous_max_nm=sums.largest_nm)
             found[key] = replace(result, figures=figures, dose_class=of_site[number], class_dose=class_dose)
+    if correction != "none" and all(one.figures.prints_nothing for one in found.values()):
+        got, remedy = f"{ratio:.3g}, at which no pillar prints", "leave it out for the dose to size"
+        raise InputError.single("exposure", "base_over_clearing_dose", "a dose at which pillars print", got, remedy)
     return tuple(found[one.surroundings, lens.dose] for lens, one in zip(lenses, dosed, strict=True))
 
 
@@ -324,7 +333,7 @@ def _class_count(numerics: ExposureNumerics, lenses: Sequence[LensDoses], sums: 
     if numerics.classes != "auto":
         return min(numerics.classes, numerics.most_classes)
     span_percent = 100.0 * math.log(dose_span(lenses))
-    latitude_nm = max(each.latitude_nm / each.sides for each in sums)
+    latitude_nm = max((each.latitude_nm / each.sides for each in sums if each.unprinted < each.pillars), default=0.0)
     count = math.ceil(0.5 * span_percent * latitude_nm / _ROUNDING_NM)
     return min(max(count, 2), numerics.most_classes)
 

@@ -60,7 +60,7 @@ class Printing:
 
 @dataclass(frozen=True)
 class SizeSums:
-    """Sums over all pillars of :func:`metafab.exposure.sums.size_statistics`."""
+    """Sums over all pillars of :func:`metafab.exposure.sums.size_statistics`; sizes are NaN if no pillar prints."""
 
     pillars: int
     unprinted: int
@@ -73,8 +73,8 @@ class SizeSums:
 
     @property
     def sides(self) -> float:
-        """Number of printed widths and lengths, at least 1."""
-        return max(1.0, 2.0 * (self.pillars - self.unprinted))
+        """Number of printed widths and lengths; NaN without any."""
+        return 2.0 * (self.pillars - self.unprinted) or math.nan
 
     @property
     def bias_nm(self) -> float:
@@ -92,7 +92,14 @@ class SizeSums:
         added, least, most = parts.sum(axis=0), parts.min(axis=0), parts.max(axis=0)
         pillars, unprinted, total, square, _, latitude, *_ = added.tolist()
         return cls(
-            int(pillars), int(unprinted), total, square, float(most[4]), latitude, float(least[6]), float(most[7])
+            pillars=int(pillars),
+            unprinted=int(unprinted),
+            total_nm=total,
+            square_nm2=square,
+            largest_nm=float(most[4]) if unprinted < pillars else math.nan,
+            latitude_nm=latitude,
+            dose_min=float(least[6]),
+            dose_max=float(most[7]),
         )
 
 

@@ -105,6 +105,13 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
         raise InputError.single(design.name, "cell.lattice", expected, "'hexagonal'", remedy)
     exposed = expose_mask(path, design, printed == "corrected", 0, copy, work, keep_sizes=True)
     assert design.process is not None
+    if (dose := exposed.exposure.figures).prints_nothing:
+        got, remedy = (
+            f"{dose.base_over_clearing_dose:.3g}, at which no pillar prints",
+            "leave it out for the dose to size",
+        )
+        key = "process.exposure.base_over_clearing_dose"
+        raise InputError.single(design.name, key, "a dose at which pillars print", got, remedy)
     etch = design.process.etch or Etch()
     made = made_pillars(exposed.drawn, exposed.exposure, etch, Outline.of(design))
     figures = exposed.exposure.figures

@@ -201,3 +201,13 @@ def test_damaged_records_are_refused_whole(key: str, value: object, record: Expo
     path.write_text("{", encoding="utf-8")
     assert load_record(path) is None
     assert load_record(tmp_path / "missing.json") is None
+
+
+def test_where_nothing_prints_there_are_no_sizes(lens: PillarMap) -> None:
+    """Sizes off by 0.0 nm were stated of pillars that are not there, and doses were corrected in vain."""
+    figures = expose(lens, BEAM, base_over_clearing_dose=0.05).figures
+    assert figures.unprinted == figures.pillars
+    sizes = (figures.cd_error_rms_nm, figures.cd_error_max_nm, figures.cd_bias_nm, figures.latitude_nm_per_percent)
+    assert np.isnan(sizes).all()
+    with pytest.raises(InputError, match="no pillar prints"):
+        expose(lens, BEAM, base_over_clearing_dose=0.05, correction="dose")
