@@ -157,11 +157,11 @@ class MappingFigures:
     retardance_error_rad: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     #: ``efficiency`` by the library's model of neighbours, where sizes were chosen by it.
     neighbour_efficiency: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
-    #: ``neighbour_efficiency`` of the sizes that suit lone pillars best.
+    #: ``neighbour_efficiency`` of the sizes that suit equal neighbours best.
     neighbour_efficiency_before: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     #: Rms phase error of the field among neighbours, averaged along rows over about a period, with the chosen sizes.
     neighbour_phase_rms_error_rad: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
-    #: ``neighbour_phase_rms_error_rad`` of the sizes that suit lone pillars best.
+    #: ``neighbour_phase_rms_error_rad`` of the sizes that suit equal neighbours best.
     neighbour_phase_rms_error_before_rad: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     #: Error bound of the library in complex t, rms over the pillars.
     library_error: float | None = field(default=None, metadata={"optional": True}, kw_only=True)

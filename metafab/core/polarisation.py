@@ -33,10 +33,10 @@ def stokes_of(jones: ComplexArray) -> FloatArray:
 
 
 def stokes_response(xx: ComplexArray, xy: ComplexArray, yx: ComplexArray, yy: ComplexArray) -> FloatArray:
-    """Return the power behind a Jones matrix per unit of each Stokes parameter: power = response . S.
+    """Return the power that a Jones matrix transmits per unit of each Stokes parameter: power = response . S.
 
-    The entries, of any one shape, are E_x behind x (xx) and y (xy) polarised light, and E_y likewise. The response,
-    shape (4, ...), is the first row of the Mueller matrix.
+    Of its entries, all of one shape, ``xx`` and ``xy`` give E_x for incident x and y polarisation, ``yx`` and ``yy``
+    give E_y. The response, shape (4, ...), is the first row of the Mueller matrix.
     """
     of_x, of_y = np.abs(xx) ** 2 + np.abs(yx) ** 2, np.abs(xy) ** 2 + np.abs(yy) ** 2
     coherence = xx * xy.conj() + yx * yy.conj()

@@ -82,7 +82,7 @@ def decode_stokes(frame: StokesFrame, psf: StokesPsf) -> StokesImage:
     segment, planes = _segments(volume, uniform_filter(mean, 3) > least_lit)
     nodes = volume.vergences_per_m
     vergence = np.full(mean.shape, 0.5 * (nodes[0] + nodes[-1]))
-    nearest = grown(segment, float(sum(mean.shape)))
+    nearest = grown(segment)
     for number, plane in enumerate(planes, start=1):
         np.copyto(vergence, np.clip(plane.over(mean.shape), nodes[0], nodes[-1]), where=nearest == number)
     stokes = _stokes_parameters(frame, psf, vergence)
@@ -95,8 +95,8 @@ def decode_stokes(frame: StokesFrame, psf: StokesPsf) -> StokesImage:
 def _cost_volume(frame: StokesFrame, psf: StokesPsf) -> CostVolume:
     """Sum of the three pairs' products at equally spaced vergences.
 
-    Each image is filtered by the other's transfer function over the root of both powers. In white noise the residual
-    of this comparison is the likelihood (:mod:`metafab.decode.matching.filters`).
+    Each image is filtered by the other's transfer function over the root of their mean power. In white noise the
+    residual of this comparison is the likelihood (:mod:`metafab.decode.matching.filters`).
     """
     vergences = np.linspace(1.0 / psf.depth_m[-1], 1.0 / psf.depth_m[0], _CANDIDATES)
     n_y, n_x = frame.images.shape[1:]
@@ -110,9 +110,9 @@ def _cost_volume(frame: StokesFrame, psf: StokesPsf) -> CostVolume:
     levels = Levels.of(frame.images, frame.read_noise_e)
     weight = np.maximum(levels.likelihood_weight(power.mean(axis=(0, 1)), frequency_squared), _DARK_WEIGHT)
     parts = np.empty((3, _CANDIDATES, n_y, n_x), dtype=np.float32)
-    for index, (of_images, powers) in enumerate(zip(transfer, power, strict=True)):
+    for index, (transfers, powers) in enumerate(zip(transfer, power, strict=True)):
         of_pairs = np.repeat(powers[::2] + powers[1::2], 2, axis=0)
-        filters = of_images[list(ORTHOGONAL)] * (weight / np.sqrt(0.5 * of_pairs + _FAINTEST * of_pairs.max()))
+        filters = transfers[list(ORTHOGONAL)] * (weight / np.sqrt(0.5 * of_pairs + _FAINTEST * of_pairs.max()))
         filtered = scipy.fft.irfft2(spectra * filters, size)[:, :n_y, :n_x]
         filtered -= uniform_filter(filtered, (0, _WINDOW_PX, _WINDOW_PX))
         first, second = filtered[::2], filtered[1::2]
@@ -136,9 +136,11 @@ def _segments(volume: CostVolume, lit: NDArray[np.bool_]) -> tuple[NDArray[np.in
     label, planes = np.zeros(lit.shape, dtype=np.int32), list[Plane]()
     if not layers:
         return label, planes
-    parts = connected_segments(assign_layers(volume, layers, pixels, separation, 1, lit), lit, _WINDOW_PX, 1)
+    parts = connected_segments(
+        assign_layers(volume, layers, pixels, separation, step=1, lit=lit), lit, _WINDOW_PX, step=1
+    )
     for number in range(1, int(parts.max(initial=0)) + 1):
-        inner = interior(parts, number, 1)
+        inner = interior(parts, number, step=1)
         depth = segment_depth(volume, volume.label_sums(inner.astype(np.int32), 1)[0], float(inner.sum()))
         if np.isfinite(depth.relative_error) and depth.correlation >= _LEAST_CORRELATION:
             planes.append(fit_plane(Cells.of(volume, inner, 1)) or depth.plane)

@@ -45,7 +45,7 @@ class _Band:
     """The rectangles of some rows, with room for those of the row above."""
 
     start: IntArray  #: Shape (rows + 2,), index of the first rectangle of each row; the last row is the row above.
-    filled: IntArray  #: Shape (rows,), index behind the last rectangle placed in each row.
+    filled: IntArray  #: Shape (rows,), index after the last rectangle placed in each row.
     corner: NDArray[np.int32]  #: Shape (n, 2), x and y, file units.
     size: NDArray[np.uint16]  #: Shape (n, 2), width and length, file units.
 

@@ -163,7 +163,7 @@ class ExposedLens:
 
     pillars: PillarMap  #: Drawn pillars, upright.
     beside: Beside | None = None  #: What is exposed with the lens.
-    dose: float = 1.0  #: Dose of the whole lens relative to the base dose, on top of that of each pillar.
+    dose: float = 1.0  #: Dose of the whole lens relative to the base dose, a factor on that of each pillar.
     number: int = 1  #: Its number, by which lenses beside another one are found.
 
 

@@ -19,17 +19,17 @@ def dose_to_size_sums(
     size_index: NDArray[np.uint16], dose: Float32Array, others: Float32Array, at_edge: Float32Array, slope: Float32Array
 ) -> tuple[float, float]:
     """Sums over both axes of all pillars of energy / slope and of 1 / slope; shapes as in the module."""
-    energy, count = 0.0, 0.0
+    weighted_energy, weights = 0.0, 0.0
     for row in range(size_index.shape[0]):
         for column in range(size_index.shape[1]):
             size = size_index[row, column]
             if size == 0:
                 continue
             for axis in range(2):
-                at = at_edge[axis, size] * dose[row, column] + others[axis, row, column]
-                energy += at / slope[axis, size]
-                count += 1.0 / slope[axis, size]
-    return energy, count
+                energy = at_edge[axis, size] * dose[row, column] + others[axis, row, column]
+                weighted_energy += energy / slope[axis, size]
+                weights += 1.0 / slope[axis, size]
+    return weighted_energy, weights
 
 
 @compiled
@@ -43,10 +43,9 @@ def newton_doses(
     bounds: tuple[float, float],
     new_dose: Float32Array,
 ) -> tuple[float, int]:
-    """Write new doses for a mean size error of zero; return the sum of squared residuals (nm^2) and the pillars.
+    """Write new doses for a mean size error of zero; return the sum of squared residuals (nm^2) and their number.
 
-    ``bounds`` are the least and the largest dose, ``new_dose`` has the shape of ``dose``; other
-    shapes as in the module.
+    ``bounds`` are the least and the largest dose, ``new_dose`` has the shape of ``dose``, the rest as in the module.
     """
     square, count = 0.0, 0
     for row in range(size_index.shape[0]):
@@ -83,8 +82,8 @@ def size_statistics(
     shape (n_bins,), has bins of ``bin_nm`` and is centred on 0.
 
     Returns:
-        Shape (8,): pillars, unprinted pillars, sum, sum of squares and largest magnitude of the size errors (nm), sum
-        of the latitude (nm per percent of dose), least and largest dose.
+        Shape (8,): number of pillars, of unprinted pillars; sum, sum of squares and largest magnitude of the size
+        errors (nm); sum of the latitudes (nm per percent of dose); least and largest dose.
     """
     result = np.zeros(8)
     result[6] = np.inf
@@ -105,7 +104,8 @@ def size_statistics(
                 result[2] += error
                 result[3] += error * error
                 result[4] = max(result[4], abs(error))
-                result[5] += 0.02 / (ratio * d * slope[axis, size])
+                # Two edges, each moved by one percent of dose.
+                result[5] += 2.0 * 0.01 / (ratio * d * slope[axis, size])
                 place = int(np.floor(error / bin_nm + half))
                 histogram[min(max(place, 0), histogram.size - 1)] += 1
     return result

@@ -42,7 +42,7 @@ Solver: TypeAlias = Literal["model", "rcwa", "meep", "lone"]
 #: Bound on the error of the local-period approximation over the rms step of t from site to site. On seven silicon rows
 #: (lens-like, random, nearly equal) the share was 0.16 to 0.47.
 _PER_STEP = 0.5
-#: Largest accepted file of supercells, MB, unless the limit ``memory_mb`` is stated, as of a design.
+#: Largest accepted file of supercells, MB, unless a limit ``memory_mb`` is stated, for example by a design.
 _LARGEST_MB = 4.0
 
 _Sizes = Annotated[list[Annotated[list[NonNegative], Field(min_length=1)]], Field(min_length=1)]
@@ -59,7 +59,7 @@ class Block:
     def _one_shape(self) -> Block:
         rows = [*map(len, self.width_nm)], [*map(len, self.length_nm)]
         if rows[0] != rows[1] or len(set(rows[0])) > 1:
-            raise ValueError(f"`width_nm` and `length_nm` must have rows of one length, as many of each, got {rows}")
+            raise ValueError(f"`width_nm` and `length_nm` must have equally many rows of one length, got {rows}")
         return self
 
     @property

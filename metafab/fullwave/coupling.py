@@ -54,7 +54,7 @@ class CouplingRow:
     y_um: float  #: Middle of the row.
     axis: Axis  #: Direction of the row.
     polarisation: Polarisation  #: Polarisation of the light.
-    solver: Solver  #: Full-wave solver; it also solves the lone pillars of the approximation.
+    solver: Solver  #: Full-wave solver; it also solves the equal pillars of the approximation.
     sites: int  #: Pillars in the row.
     order: int  #: Wanted order, +1 or -1.
     angle_deg: float  #: Angle of the wanted order behind the mask.

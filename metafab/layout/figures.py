@@ -33,8 +33,8 @@ class TileSums:
     smallest_gap_dbu: float  #: Over all pairs with a pillar in the tile, neighbours in other tiles included.
     #: Sums of the sizes that keep the gap independently, where sizes were then chosen jointly.
     each: TileSums | None = None
-    #: Shape (2, 2), overlaps by the model of neighbours, of the sizes that suit lone pillars best and of those chosen
-    #: among neighbours, for x and y polarisation; None without that choice.
+    #: Shape (2, 2), overlaps by the model of neighbours, of the sizes that suit equal neighbours best and of those
+    #: chosen among unlike ones, for x and y polarisation; None without that choice.
     among: ComplexArray | None = None
     #: Shape (2,), of both mappings: squared phase error of the local mean field, summed over pillars and polarisations.
     among_square_error: FloatArray | None = None

@@ -1,4 +1,4 @@
-"""Library files with all that their unit cell asks for: the lone pillars, then the model of unlike neighbours."""
+"""Library files as their unit cell asks for them: pillars among equal neighbours, then the model of unlike ones."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def build_file(
 ) -> Library:
     """Build a library, train its model of neighbours if the unit cell asks for one, and save both.
 
-    Current lone pillars of an earlier file are reused: for a training, or alone where the unit cell no longer asks for
+    Current pillars of an earlier file are reused: for a training, or alone where the unit cell no longer asks for
     a model. A killed build or training continues where it stopped: until the library is saved, files in its folder keep
     what was solved. The rows of a training stay there (``.rows``): another fit, or more rows, continue from them. If
     two processes build one library, the second waits for the first and loads its file. A damaged checkpoint raises

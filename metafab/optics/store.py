@@ -25,7 +25,7 @@ PSF_FORMAT = 1
 _REMEDY = "write it with `metafab psf LAYOUT --design DESIGN.toml -o PSF.h5`"
 _IRRADIANCE = "irradiance at pixel centres per unit power of that polarisation at the aperture"
 _CENTRE = "(x, y) on the sensor of each centre pixel"
-_TANGENT = "object direction, tangent to the axis"
+_TANGENT = "object direction, tangent of the angle to the axis"
 _STACK = ("polarisation", "depth_m")
 _FIELD = (*_STACK, "tangent_y", "tangent_x")
 
@@ -37,7 +37,7 @@ _DATASETS = {
     "phi_deg": ("degree", "orientation of the main lobe of PSF_x", ("depth_m",)),
     "error": ("1", "relative L2 error of the irradiance", ("depth_m",)),
     "efficiency": ("1", "share of the power that falls into the window", _STACK),
-    "extinction_ratio": ("1", "wanted over unwanted power in x's window", ("depth_m",)),
+    "extinction_ratio": ("1", "wanted over unwanted power in the window of PSF_x", ("depth_m",)),
 }
 #: Datasets of the group ``field`` by their attributes in :class:`PsfField`.
 _FIELD_DATASETS = {
@@ -133,7 +133,9 @@ def _check(psf: Psf, path: Path) -> None:
             faults += _shape_faults("ghost/field/", psf.ghost.field, _FIELD_DATASETS, size)
         if (psf.field is None) != (psf.ghost.field is None):
             faults.append(
-                Fault("ghost/field", "a field where the pair has one, and none where it has none", "otherwise")
+                Fault(
+                    "ghost/field", "a field of both, the pair and the ghost, or of neither", "a field of one", _REMEDY
+                )
             )
         if not np.all(np.isfinite(psf.ghost.psf)):
             faults.append(Fault("ghost/psf", "finite irradiance", "NaN or infinity", _REMEDY))

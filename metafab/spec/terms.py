@@ -22,7 +22,7 @@ class _Term(Checked):
 
     deflects: ClassVar[bool] = False  #: Whether the keys state where the term sends all light, as those of a lens do.
     is_own: ClassVar[bool] = False  #: Whether its phase is the user's own, whose mean slope may deflect light.
-    blurs: ClassVar[bool] = False  #: Whether a lens with this term has another image than a focus.
+    blurs: ClassVar[bool] = False  #: Whether a lens with this term images a point as something other than a spot.
 
     polarisation: Polarisation | None = None  #: Polarisation that the term acts on; both without the key.
 
@@ -39,12 +39,12 @@ class SpiralZones(_Term):
     #: Number of zones; zone number n has topological charge n.
     zones: Annotated[int, Field(strict=True, ge=1, le=64)] = 4
     exponent: Annotated[float, Field(strict=True, gt=0.0, le=16.0)] = 0.5  #: Exponent of the zones' radii.
-    #: Optimisation of the lobe after the zones: its mean peak, its lowest peak, or the information about depth under
-    #: unknown texture.
+    #: Optimisation of the rotating lobe, starting from the zones: of its mean peak over depth, its lowest peak, or
+    #: the information about depth under unknown texture.
     optimise: Literal["none", "peak", "worst_peak", "blind_information"] = "none"
     #: Upper limit of side lobe over main lobe.
     side_lobe_limit: Annotated[float | None, Field(strict=True, gt=0.0, lt=1.0)] = None
-    #: Whether the limit holds at the worst depth of a turn or in the mean over them.
+    #: Whether the limit holds at the worst depth of a turn of the lobe, or for the mean over its depths.
     side_lobe_over: Literal["worst", "mean"] = "worst"
 
     def _faults(self) -> Iterator[str]:

@@ -69,7 +69,7 @@ class CopyFigures:
     """Printed sizes of one lens of ``mask.copies`` at its dose, all lenses being corrected."""
 
     copy: int  #: Number of the lens.
-    dose: float  #: Its dose relative to the base dose, on top of the corrected ones.
+    dose: float  #: Its dose relative to the base dose, a factor on the corrected ones.
     cd_error_rms_nm: float  #: Rms of printed less drawn widths and lengths.
     cd_error_max_nm: float  #: Largest magnitude.
     unprinted: int  #: Pillars that do not print.

@@ -228,7 +228,7 @@ def face_system(
 ) -> FaceSystem:
     """Equations of a layer between its half spaces, one index of each for all lights; SolverError if it is singular.
 
-    The steps of the doubling are kept for its reverse if ``keep`` is true.
+    The steps of the doubling are kept for derivatives in reverse mode if ``keep`` is true.
     """
     cell = supercell.cell
     axis = POLARISATIONS.index(lights[0])
@@ -236,7 +236,7 @@ def face_system(
     source = np.stack([incident(layer, light, cell.n_in[axis]) for light in lights], axis=1)
     with np.errstate(all="ignore"):  # non-finite values are refused by the caller
         largest = largest_eigenvalue(permittivity(cell.n_ambient), permittivity(cell.n_pillar))
-        half = doubled(layer.p, layer.q, cell.k0_per_nm * cell.height_nm, largest, last=1, keep=keep)
+        half = doubled(layer.p, layer.q, cell.k0_per_nm * cell.height_nm, largest, omitted=1, keep=keep)
     if half is None:
         raise SolverError("the layer of a supercell is singular")
     x, z = np.linalg.solve(layer.p, half.f), np.linalg.solve(half.f.T, layer.q)

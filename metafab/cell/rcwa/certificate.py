@@ -208,15 +208,15 @@ def solve(
     SolverError if an amplitude is not a finite number.
     """
     started = time.perf_counter()
-    cut, falls = slicing(cell, numerics), convergence(cell)
+    cut, rate = slicing(cell, numerics), convergence(cell)
     solved: dict[int, ZeroOrder] = {}
     known = {} if known is None else known
-    for orders in ladder(numerics, falls):
+    for orders in ladder(numerics, rate):
         if (orders, cut.steps) not in known:
             known[orders, cut.steps] = smooth(cell, orders, numerics.formulation, cut.steps, keep=numerics.slopes)
         last = known[orders, cut.steps]
         earlier = {count: distance(last, coarser) for count, coarser in solved.items()}
-        error = bound(orders, earlier, falls, numerics.formulation) + cut.error
+        error = bound(orders, earlier, rate, numerics.formulation) + cut.error
         error = max(error, last.conditioning.rounding)
         known[orders, cut.steps] = solved[orders] = replace(last, kept=())
         if error <= numerics.target_error:
@@ -253,9 +253,9 @@ def solve(
     )
 
 
-def ladder(numerics: CellNumerics, falls: Convergence) -> tuple[int, ...]:
+def ladder(numerics: CellNumerics, rate: Convergence) -> tuple[int, ...]:
     """Truncations for the target, ascending up to ``numerics.max_orders``; at least two where that many are allowed."""
-    if falls.law is not None:
+    if rate.law is not None:
         numerics = replace(numerics, target_error=max(numerics.target_error, _FAR_TARGET))
     below: tuple[int, ...] = ()
     for least_target, all_rungs in reversed(_LADDERS[numerics.formulation]):
@@ -264,24 +264,24 @@ def ladder(numerics: CellNumerics, falls: Convergence) -> tuple[int, ...]:
             below = rungs
         if numerics.target_error >= least_target:
             break
-    if not falls.is_measured and below[:2] in _ACCIDENTS:
+    if not rate.is_measured and below[:2] in _ACCIDENTS:
         return (below[0], below[0] + 1, *below[1:])
-    if falls.is_measured and 4 in below and max(below) > _SKIPPED_RUNG:
+    if rate.is_measured and 4 in below and max(below) > _SKIPPED_RUNG:
         return tuple(orders for orders in below if orders != _SKIPPED_RUNG)
     return below or _LADDERS[numerics.formulation][-1][1][:1]
 
 
-def bound(orders: int, earlier: dict[int, float], falls: Convergence, formulation: Formulation = "adaptive") -> float:
+def bound(orders: int, earlier: dict[int, float], rate: Convergence, formulation: Formulation = "adaptive") -> float:
     """Bound on the error of amplitudes of a truncation; infinite where the earlier ones do not suffice.
 
     Args:
         orders: truncation whose error is bounded.
         earlier: earlier truncation -> largest difference of any amplitude.
-        falls: convergence of the cell.
+        rate: rate of convergence of the cell.
         formulation: "adaptive" or "fourier".
     """
-    rung, growth = _RUNGS[formulation][orders], falls.floor_growth
-    if falls.is_measured:
+    rung, growth = _RUNGS[formulation][orders], rate.floor_growth
+    if rate.is_measured:
         claims = _CLAIMS[formulation].get(orders, ())
         bounds = [
             max(growth * claim.floor, *(share * earlier[count] for count, share in claim.shares))
@@ -294,19 +294,19 @@ def bound(orders: int, earlier: dict[int, float], falls: Convergence, formulatio
         least = min(bounds, default=math.inf)
     else:
         suffice = len(earlier) > 1 or (len(earlier) == 1 and orders >= _LONE_FROM)
-        least = max(growth * rung.floor, implied_bound(orders, earlier, falls, formulation)) if suffice else math.inf
-        of_a_rad = rung.of_a_rad if falls.law is None else 0.0
-    return max(least, of_a_rad * growth * falls.added_phase_rad, falls.least_error(orders))
+        least = max(growth * rung.floor, implied_bound(orders, earlier, rate, formulation)) if suffice else math.inf
+        of_a_rad = rung.of_a_rad if rate.law is None else 0.0
+    return max(least, of_a_rad * growth * rate.added_phase_rad, rate.least_error(orders))
 
 
 def implied_bound(
-    orders: int, earlier: dict[int, float], falls: Convergence, formulation: Formulation = "adaptive"
+    orders: int, earlier: dict[int, float], rate: Convergence, formulation: Formulation = "adaptive"
 ) -> float:
     """Bound on the error of any figure at ``orders`` from its differences to ``earlier`` truncations, at least one."""
     rungs, (last, *before) = _RUNGS[formulation], sorted(earlier, reverse=True)[:_NEAREST]
     rung = rungs[orders]
     shares = [rung.of_typical * rung.typical / rungs[count].typical * earlier[count] for count in before]
-    of_law = 0.0 if falls.law is None else falls.law.bound(orders, earlier)
+    of_law = 0.0 if rate.law is None else rate.law.bound(orders, earlier)
     lone = _LONE_MARGIN if orders >= _LONE_FROM else _COARSE_LONE_MARGIN
     implied = max((rung.of_last if before else lone) * earlier[last], of_law, *shares)
     return max(_FAR_MARGIN * implied, 1.0) if implied > _FAR_FROM_CONVERGED else implied

@@ -60,22 +60,22 @@ class Diffraction:
 def diffraction(cell: PillarCell, numerics: CellNumerics = CellNumerics()) -> Diffraction:  # noqa: B008 (frozen)
     """Efficiencies of every order that leaves ``cell``, to ``numerics.target_error`` where that can be reached.
 
-    In an absorbing half space the orders are those that propagate by the real part of its index, with their power where
-    the layer ends. Errors as :func:`metafab.cell.rcwa.jones.zero_order`.
+    In an absorbing half space the orders are those that propagate by the real part of its index, with the power
+    at the face of the layer. Errors as :func:`metafab.cell.rcwa.jones.zero_order`.
     """
     cut = slicing(cell, numerics)
     solved: dict[int, FloatArray] = {}
     sides = [propagating_orders(cell, index) for index in (cell.n_out, cell.n_in)]
     farthest = max(abs(number) for side in sides for order in side for number in order)
     error, orders = math.inf, 0
-    # Claims were measured on amplitudes.
-    falls = replace(convergence(cell), is_measured=False)
-    for orders in ladder(numerics, falls):
+    # The claims of the certificate were measured on amplitudes, not on efficiencies.
+    rate = replace(convergence(cell), is_measured=False)
+    for orders in ladder(numerics, rate):
         solved[orders] = smooth_array(cell, cut.steps, partial(_listed, cell, orders, numerics.formulation, sides))
         if len(solved) > 1 and orders >= farthest:
             changes = {count: float(np.abs(solved[orders] - solved[count]).max()) for count in sorted(solved)[:-1]}
-            error = implied_bound(orders, changes, falls, numerics.formulation) + 2.0 * cut.error
-            error = max(error, falls.least_error(orders))
+            error = implied_bound(orders, changes, rate, numerics.formulation) + 2.0 * cut.error
+            error = max(error, rate.least_error(orders))
         if error <= numerics.target_error:
             break
     count = len(sides[0])

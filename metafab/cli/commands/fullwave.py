@@ -168,7 +168,11 @@ def fullwave_command(
     workers: Workers = None,
     json_: Json = False,
 ) -> None:
-    """Compute the transmitted orders of supercells: by the library's model, RCWA, Meep, or lone pillars."""
+    """Compute the transmitted orders of supercells: by one of four solvers.
+
+    ``model`` is the library's model of unlike neighbours, ``lone`` the local-period approximation: each pillar as in a
+    lattice of equal pillars.
+    """
     from metafab.cell.elements.solve import ElementNumerics
     from metafab.core.storage.files import write_json
     from metafab.fullwave.blocks import BlockNumerics, read_blocks, solve_blocks

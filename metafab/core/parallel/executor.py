@@ -117,10 +117,10 @@ def kept_threads() -> Iterator[ThreadPoolExecutor]:
 
 
 def spread(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
-    """Call ``kernel(first, behind, *arguments)`` over parts of ``range(count)``, at once on the kept threads.
+    """Call ``kernel(first, stop, *arguments)`` for parts of ``range(count)``, in parallel on the kept threads.
 
-    Without :func:`kept_threads`, in them, and on one core, there is one part. The kernel is compiled; results of items
-    do not depend on each other.
+    There is one part on one core, without :func:`kept_threads`, and inside one of its jobs. The kernel is compiled;
+    results of items do not depend on each other.
     """
     threads = _kept_threads.get()
     parts = 1 if threads is None else max(1, min(count, default_workers()))

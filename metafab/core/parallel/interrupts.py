@@ -35,7 +35,7 @@ def raised_interrupts() -> Iterator[None]:
 
     A signal may arrive in a finalizer or in a callback, where Python prints an exception and goes on. Such a signal is
     not printed but sent again after 10 ms. Where it arrives within a class body or the import of a compiled module,
-    another exception takes its place; any that ends the block after a signal is the signal's.
+    another exception takes its place: after a signal, any exception that ends the block becomes the signal's.
     """
     arrived: list[signal.Signals] = []
 

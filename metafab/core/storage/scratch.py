@@ -25,8 +25,8 @@ def scratch(shape: tuple[int, ...], dtype: DTypeLike, in_memory_bytes: int | Non
     byte_count = int(np.prod(shape, dtype=object)) * np.dtype(dtype).itemsize
     if byte_count <= (IN_MEMORY_BYTES if in_memory_bytes is None else in_memory_bytes):
         return np.zeros(shape, dtype)
-    place = f"{1e-9 * byte_count:.2g} GB of scratch in {tempfile.gettempdir()}; `TMPDIR` names another folder"
-    with noted(place), tempfile.TemporaryFile() as stream:
+    note = f"{1e-9 * byte_count:.2g} GB of scratch in {tempfile.gettempdir()}; `TMPDIR` names another folder"
+    with noted(note), tempfile.TemporaryFile() as stream:
         if hasattr(os, "posix_fallocate"):
             os.posix_fallocate(stream.fileno(), 0, byte_count)
         else:

@@ -122,7 +122,7 @@ class ChangeDetector:
 @compiled
 def _patch_means(
     first: int,
-    behind: int,
+    stop: int,
     frame: NDArray[Any],
     row: NDArray[np.int32],
     column: NDArray[np.int32],
@@ -133,7 +133,7 @@ def _patch_means(
     invalid: NDArray[np.uint8],
 ) -> None:
     n_x, last_row, last_column = row.shape[2], frame.shape[0] - 1, frame.shape[1] - 1
-    for y in range(first, behind):
+    for y in range(first, stop):
         for image in range(2):
             for x in range(n_x):
                 total, n_full, n_invalid = 0.0, 0, 0

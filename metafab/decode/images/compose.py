@@ -60,7 +60,7 @@ def focus_depths(
     near = prepared.near_light
     if not regions.depths:
         return near.astype(np.int32), np.array([float(np.median(candidates_per_m))])
-    everywhere = grown(regions.label, float(sum(regions.label.shape)))
+    everywhere = grown(regions.label)
     band_per_m = _BAND_SHARE * float(candidates_per_m[-1] - candidates_per_m[0])
     return regions.bands(np.where(near, everywhere, 0).astype(np.int32), band_per_m)
 

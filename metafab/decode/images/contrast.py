@@ -39,14 +39,14 @@ def contrast_with_error(
 @compiled
 def _divide_images(
     first: int,
-    behind: int,
+    stop: int,
     images: NDArray[np.float32],
     variance: NDArray[np.float32],
     lit: NDArray[np.bool_],
     contrast: FloatArray,
     error: FloatArray,
 ) -> None:
-    for i in range(first, behind):
+    for i in range(first, stop):
         for j in range(lit.shape[1]):
             known = lit[i, j] and images[1, i, j] > np.float32(0.0)
             y = images[1, i, j] if known else np.float32(1.0)
@@ -90,25 +90,25 @@ class SegmentLight:
 @compiled
 def _add_segments(
     first: int,
-    behind: int,
+    stop: int,
     images: NDArray[np.float32],
     segment: NDArray[np.int32],
     inner: NDArray[np.int32],
     rows: FloatArray,
 ) -> None:
     """Add up, in each row, the pixels of each segment, of its interior, and the light of both images there."""
-    for i in range(first, behind):
+    for i in range(first, stop):
         sums, start = rows[i], 0
         # Runs of equal numbers: each sum grows in a register.
         while start < segment.shape[1]:
-            number, within, stop, x, y = segment[i, start], inner[i, start], start, 0.0, 0.0
-            while stop < segment.shape[1] and segment[i, stop] == number and inner[i, stop] == within:
-                x += images[0, i, stop]
-                y += images[1, i, stop]
-                stop += 1
+            number, within, j, x, y = segment[i, start], inner[i, start], start, 0.0, 0.0
+            while j < segment.shape[1] and segment[i, j] == number and inner[i, j] == within:
+                x += images[0, i, j]
+                y += images[1, i, j]
+                j += 1
             if number > 0:
-                sums[0, number] += stop - start
-                sums[1, within] += stop - start
+                sums[0, number] += j - start
+                sums[1, within] += j - start
                 sums[2, within] += x
                 sums[3, within] += y
-            start = stop
+            start = j

@@ -139,7 +139,7 @@ def quartic_peak(values: NDArray[np.float32]) -> Peak:
 @compiled
 def _quartic_peaks(
     first: int,
-    behind: int,
+    stop: int,
     values: NDArray[np.float32],
     quartic: NDArray[np.float64],
     place: FloatArray,
@@ -147,7 +147,7 @@ def _quartic_peaks(
     curvature: FloatArray,
     inside: NDArray[np.bool_],
 ) -> None:
-    for i in range(first, behind):
+    for i in range(first, stop):
         best = 1
         for k in range(2, 4):
             if values[k, i] > values[best, i]:
@@ -268,7 +268,7 @@ def _row_means(
 @compiled
 def _best_candidates(
     first: int,
-    behind: int,
+    stop: int,
     products: NDArray[np.float32],
     reach: int,
     half_steps: NDArray[np.float32],
@@ -277,7 +277,7 @@ def _best_candidates(
     largest_product: NDArray[np.float32],
 ) -> None:
     _, count, _, n_x = products.shape
-    for i in range(first, behind):
+    for i in range(first, stop):
         padded = np.empty(n_x + 2 * reach, dtype=np.float32)
         means = np.empty((3, n_x), dtype=np.float32)
         rho = np.empty((count, n_x), dtype=np.float32)

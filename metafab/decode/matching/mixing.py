@@ -82,7 +82,7 @@ def _copy_blocks(lines: NDArray[np.float32], blocks: NDArray[np.float32]) -> Non
 @compiled
 def _mixed_products(
     first: int,
-    behind: int,
+    stop: int,
     images: NDArray[np.float32],
     weights: NDArray[np.float32],
     block: int,
@@ -91,7 +91,7 @@ def _mixed_products(
 ) -> None:
     """As :func:`mixed_products`, for images of whole blocks."""
     n_basis, count, columns = weights.shape[4], weights.shape[3], wanted.shape[1]
-    for row in range(first, behind):
+    for row in range(first, stop):
         if not wanted[row].any():
             continue
         # The pixels of a block are contiguous, so that the mixing runs over all of them at once.

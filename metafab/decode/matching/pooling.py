@@ -32,13 +32,13 @@ def window_means(pictures: NDArray[np.float32], window: int) -> NDArray[np.float
 
 
 @compiled
-def _window_means(first: int, behind: int, pictures: NDArray[np.float32], reach: int, out: NDArray[np.float32]) -> None:
+def _window_means(first: int, stop: int, pictures: NDArray[np.float32], reach: int, out: NDArray[np.float32]) -> None:
     _, n_y, n_x = pictures.shape
     share = 1.0 / (2 * reach + 1) ** 2
     source = np.empty(n_x + 2 * reach, dtype=np.int64)
     for k in range(source.size):
         source[k] = mirrored(k - reach, n_x)
-    for p in range(first, behind):
+    for p in range(first, stop):
         column_sum = np.zeros(n_x, dtype=np.float64)
         running = np.empty(source.size + 1, dtype=np.float64)
         for i in range(-reach, reach + 1):
@@ -69,10 +69,10 @@ def halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 @compiled
-def _halved(first: int, behind: int, pictures: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+def _halved(first: int, stop: int, pictures: NDArray[np.float32], out: NDArray[np.float32]) -> None:
     _, n_y, n_x = pictures.shape
     _, rows, columns = out.shape
-    for p in range(first, behind):
+    for p in range(first, stop):
         for i in range(rows):
             above, row, below = max(2 * i - 1, 0), 2 * i, min(2 * i + 1, n_y - 1)
             upper, here, lower = pictures[p, above], pictures[p, row], pictures[p, below]
@@ -96,11 +96,9 @@ def label_sums(pictures: NDArray[np.float32], label: NDArray[np.int32], count: i
 
 
 @compiled
-def _label_sums(
-    first: int, behind: int, flat: NDArray[np.float32], number: NDArray[np.int32], sums: FloatArray
-) -> None:
+def _label_sums(first: int, stop: int, flat: NDArray[np.float32], number: NDArray[np.int32], sums: FloatArray) -> None:
     pictures, count = flat.shape[0], sums.shape[1] - 1
-    for block in range(first, behind):
+    for block in range(first, stop):
         p = min(4 * block, max(pictures - 4, 0))
         q, r, s = min(p + 1, pictures - 1), min(p + 2, pictures - 1), min(p + 3, pictures - 1)
         at = np.zeros((count + 1, 4))

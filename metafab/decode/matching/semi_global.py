@@ -55,7 +55,7 @@ def _add_path(
 @compiled
 def _sweeps(
     first: int,
-    behind: int,
+    stop: int,
     cost: NDArray[np.float32],
     change: np.float32,
     jump: np.float32,
@@ -63,7 +63,7 @@ def _sweeps(
 ) -> None:
     """Sum costs (n_y, n_x, n_levels) along four directions in each sweep, from the first and from the last pixel."""
     n_y, n_x, count = cost.shape
-    for sweep in range(first, behind):
+    for sweep in range(first, stop):
         # Paths from the left, and of the last row from the upper left, above and the upper right; a margin begins them.
         last = np.zeros((3, n_x + 2, count), dtype=np.float32)
         for row in range(n_y):

@@ -96,7 +96,7 @@ def _interpolated(image: NDArray[np.float32], place: NDArray[np.float32]) -> NDA
 @compiled
 def _interpolate_rows(
     first: int,
-    behind: int,
+    stop: int,
     image: NDArray[np.float32],
     place: NDArray[np.float32],
     table: NDArray[np.float32],
@@ -104,7 +104,7 @@ def _interpolate_rows(
 ) -> None:
     """The filter's eight products are written out, so that they are added in pairs, at once."""
     last, fractions = image.shape[1] - 1, np.float32(table.shape[0] - 1)
-    for i in range(first, behind):
+    for i in range(first, stop):
         for j in range(place.shape[1]):
             whole = np.floor(place[i, j])
             f = int((place[i, j] - whole) * fractions + np.float32(0.5))

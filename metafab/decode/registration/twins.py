@@ -248,13 +248,13 @@ def validated(counts: NDArray[Any], saturation: float) -> tuple[NDArray[np.float
 @compiled
 def _validate(
     first: int,
-    behind: int,
+    stop: int,
     counts: NDArray[Any],
     saturation: float,
     values: NDArray[np.float32],
     broken: NDArray[np.bool_],
 ) -> None:
-    for i in range(first, behind):
+    for i in range(first, stop):
         for j in range(counts.shape[1]):
             value = np.float64(counts[i, j])
             valid = abs(value) < BRIGHTEST

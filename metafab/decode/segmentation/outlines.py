@@ -1,9 +1,10 @@
 """Refinement of the outlines of layers by threshold dynamics.
 
-Next to another depth the pair mixes both over its own width, so that outlines of pixels assigned one by one are ragged.
-The share of each layer in a window about a pixel is added to the layer's score there; the largest sum takes the pixel;
-and so on. This shortens outlines until the scores hold them (Merriman, Bence and Osher, J. Comput. Phys. 112, 334,
-1994; for several layers with weights Esedoglu and Otto, Comm. Pure Appl. Math. 68, 808, 2015).
+Where the depth changes, the PSFs blur both depths into each other over their own width: outlines of pixels that are
+assigned one by one are ragged. Each round adds to the score of each layer at a pixel its share of the window about the
+pixel, and assigns the pixel to the layer of the largest sum. Rounds shorten outlines until the scores hold them
+(Merriman, Bence and Osher, J. Comput. Phys. 112, 334, 1994; for several layers with weights Esedoglu and Otto, Comm.
+Pure Appl. Math. 68, 808, 2015).
 """
 
 from __future__ import annotations
@@ -25,9 +26,9 @@ def refined_outlines(
     """Assign pixels to layers with outlines as short as the scores allow.
 
     Args:
-        layer: shape (n_y, n_x), layer of each pixel from 0, to begin with.
-        scores: shape (n_layers, n_y, n_x), score of each layer at each pixel; -inf where it is not allowed. An outline
-            moves over a pixel whose scores differ by less than the layers' shares of the window about it.
+        layer: shape (n_y, n_x), initial layer of each pixel, from 0.
+        scores: shape (n_layers, n_y, n_x), score of each layer at each pixel; -inf where it is not allowed. A pixel
+            changes its layer if the scores there differ by less than the layers' shares of the window about it.
         counted: shape (n_y, n_x), pixels that count in the shares.
         window: side of the window, odd.
         rounds: most rounds; 0 leaves the outlines as they are.
@@ -48,7 +49,7 @@ def refined_outlines(
 @compiled
 def _threshold_round(
     first: int,
-    behind: int,
+    stop: int,
     layer: NDArray[np.intp],
     scores: NDArray[np.float32],
     counted: NDArray[np.bool_],
@@ -58,8 +59,8 @@ def _threshold_round(
     """Write the layer of the largest sum of score and share of the window about each pixel; mirrored at edges."""
     count, n_y, n_x = scores.shape
     share = np.float32(1.0 / (2 * reach + 1) ** 2)
-    for i in range(first, behind):
-        # Pixels of each layer in the window's columns, those beyond the edges included; and in the window.
+    for i in range(first, stop):
+        # Number of pixels of each layer in each column of the window, mirrored at the edges, and in the whole window.
         columns = np.zeros((count, n_x + 2 * reach), dtype=np.int32)
         inside = np.zeros(count, dtype=np.int32)
         for m in range(i - reach, i + reach + 1):

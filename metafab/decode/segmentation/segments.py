@@ -214,7 +214,7 @@ def opened(mask: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
     return mask
 
 
-def grown(segment: NDArray[np.int32], reach: float) -> NDArray[np.int32]:
+def grown(segment: NDArray[np.int32], reach: float = np.inf) -> NDArray[np.int32]:
     """Give pixels without a segment, shape (n_y, n_x), to the nearest one within ``reach`` pixels: the same shape."""
     if not segment.any():
         return segment

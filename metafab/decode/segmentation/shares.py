@@ -199,8 +199,8 @@ class _Layers:
         """Write the layer of the largest share into the tiles' cores of the owners, at pixels of a segment."""
         tiling, starts = self.optics.tiling, group.model.optics.starts.tolist()
         rows, columns = (slice(tiling.margin, tiling.margin + n) for n in tiling.core)
-        for tile, first, behind in zip(group.tiles, starts, [*starts[1:], len(share)], strict=True):
-            best = group.layer[first:behind][share[first:behind, rows, columns].argmax(axis=0)] + 1
+        for tile, first, stop in zip(group.tiles, starts, [*starts[1:], len(share)], strict=True):
+            best = group.layer[first:stop][share[first:stop, rows, columns].argmax(axis=0)] + 1
             to = owner[tiling.place(tile)]
             np.copyto(to, best[: to.shape[0], : to.shape[1]], where=to > 0, casting="same_kind")
 

@@ -298,7 +298,7 @@ def _free_path(z: float, cz: float, step: float, top: float, bottom: float) -> t
 @compiled
 def _run(
     first: int,
-    behind: int,
+    stop: int,
     number: FloatArray,
     per_nm3: FloatArray,
     excitation_kev: FloatArray,
@@ -310,7 +310,7 @@ def _run(
     left: FloatArray,
     depth_nm: FloatArray,
 ) -> None:
-    for batch in range(first, behind):
+    for batch in range(first, stop):
         np.random.seed(seed * 1_000_003 + batch)
         for history in range(_BATCH):
             energy, x, y, z = beam_kev, 0.0, 0.0, 0.0

@@ -1,9 +1,9 @@
 """Energy at the pillars of a lens from everything else on the wafer: other lenses, frame, text, test structures.
 
-Every figure is a sum of rectangles. Ranges below two distances of neighbours are summed in closed form, where a
-rectangle is nearer than four ranges. Wider ones see the rectangles as masses on a grid: a node gets the integral of its
-cubic cardinal function, which keeps moments up to the third, and errs by 0.3 (step / range)^4 of the peak: 1e-3 on
-nodes half a distance of neighbours apart, and 1e-3 on the blocks of :mod:`metafab.exposure.energy.far`.
+Every shape is a sum of rectangles. Ranges below two lattice spacings are summed in closed form, over the rectangles
+nearer than four ranges. Wider ones see the rectangles as masses on a grid: a node gets the integral of its cubic
+cardinal function, which keeps moments up to the third, and errs by 0.3 (step / range)^4 of the peak: 1e-3 on nodes half
+a lattice spacing apart, and 1e-3 on the blocks of :mod:`metafab.exposure.energy.far`.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from metafab.layout import Lattice, PillarMap
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.mask.writing import strips
 
-#: Range up to which rectangles are summed in closed form (distances of neighbours), and their reach (ranges).
+#: Range up to which rectangles are summed in closed form (lattice spacings), and their reach (ranges).
 _CLOSED_PERIODS, _CLOSED_REACH = 2.0, 4.0
-#: Nodes of the grid for a distance of neighbours; rows of another lens that are read at once.
+#: Nodes of the grid per lattice spacing; rows of another lens that are read at once.
 _NODES, _BAND = 2.0, 512
 #: Height of the strips of another lens' round pillars (nm).
 _STRIP_NM = 10.0
@@ -38,13 +38,13 @@ class OtherLens:
 
     pillars: PillarMap  #: Its drawn pillars.
     at_nm: tuple[float, float]  #: (x, y) of its axis from the axis of the lens in question.
-    dose: float = 1.0  #: Its dose relative to the base dose, on top of that of each pillar.
+    dose: float = 1.0  #: Its dose relative to the base dose, a factor on that of each pillar.
     number: int = 0  #: Its number on the wafer.
     #: Shape (n_y, n_x) of the lattice, doses of its pillars; None for those of the lens in question at the same sites.
     doses: Float32Array | None = None
 
-    def shares(self, dose: Float32Array, lens_dose: float) -> tuple[Float32Array, float]:
-        """Doses of its pillars, shape (n_y, n_x), and a factor on them, beside a lens at ``dose``."""
+    def doses_and_factor(self, dose: Float32Array, lens_dose: float) -> tuple[Float32Array, float]:
+        """Doses of its pillars, shape (n_y, n_x), and a factor on all; ``dose`` is that of the lens in question."""
         return (dose, self.dose / lens_dose) if self.doses is None else (self.doses, self.dose)
 
 
@@ -56,15 +56,15 @@ class Beside:
     #: Shape (n, 4), left, bottom, right and top of further rectangles, from the axis of the lens.
     rectangles_nm: FloatArray = field(default_factory=lambda: np.empty((0, 4)))
     outline: Outline = RECTANGLE  #: Outline of the pillars of all lenses.
-    lens_dose: float = 1.0  #: Dose of the lens in question that the doses of its pillars hold already.
+    lens_dose: float = 1.0  #: Dose of the lens in question, already a factor in the doses of its pillars.
     rectangle_dose: float = 1.0  #: Dose of the rectangles relative to the base dose.
 
     def per_dose(self, lens_dose: float) -> Beside:
-        """These figures for energies per unit dose of the lens in question."""
+        """Return these shapes with doses relative to that of the lens in question."""
         return replace(self, lens_dose=lens_dose, rectangle_dose=1.0 / lens_dose)
 
     def with_doses(self, doses: Mapping[int, Float32Array], lens_dose: float) -> Beside:
-        """These figures beside a lens whose doses hold its own; others, by number, take doses of shape (n_y, n_x)."""
+        """Return these shapes with new doses, shape (n_y, n_x), of other lenses by number, and a new ``lens_dose``."""
         lenses = tuple(replace(lens, doses=doses.get(lens.number, lens.doses)) for lens in self.lenses)
         return replace(self, lenses=lenses, lens_dose=lens_dose)
 
@@ -85,7 +85,7 @@ class Beside:
         yield self.rectangles_nm[inside], np.full(np.count_nonzero(inside), self.rectangle_dose)
         for lens in self.lenses:
             drawn, share, first = self._drawn(lens.pillars, exact)
-            of_site, factor = lens.shares(dose, self.lens_dose)
+            of_site, factor = lens.doses_and_factor(dose, self.lens_dose)
             lattice, index = lens.pillars.lattice, lens.pillars.to_array()
             x_nm, y_nm = 1e3 * lattice.x_um() + lens.at_nm[0], 1e3 * lattice.y_um() + lens.at_nm[1]
             reach = np.abs(drawn).max(initial=0.0)
@@ -106,10 +106,8 @@ class Beside:
         """Rectangles of all sizes about the site, share of the dose of each size, first rectangle of each size."""
         shapes = Shapes.of(pillars, self.outline)
         if exact and shapes.quadrants_nm:
-            polygons, unit_nm = (
-                self.outline.polygons(pillars.size_dbu.astype(np.int64)),
-                pillars.lattice.database_unit_nm,
-            )
+            polygons = self.outline.polygons(pillars.size_dbu.astype(np.int64))
+            unit_nm = pillars.lattice.database_unit_nm
             drawn = [strips(np.multiply(polygon, unit_nm, dtype=np.float64), _STRIP_NM) for polygon in polygons]
             return np.concatenate(drawn), np.ones(len(drawn)), np.cumsum([0, *map(len, drawn)])
         half = 0.5 * shapes.sides_nm
@@ -118,10 +116,10 @@ class Beside:
 
 
 class BesideEnergy:
-    """Energy of the figures beside a lens, at its pillars, for one dose of these.
+    """Energy of the shapes beside a lens, at its pillars, for one dose of these.
 
     Args:
-        beside: the figures.
+        beside: the shapes.
         psf: beam.
         lattice: lattice of the lens.
         size_nm: shape (n_sizes, 2), widths and lengths of the pillars.
@@ -152,16 +150,16 @@ class BesideEnergy:
             count = -(-np.array(lattice.shape[::-1]) // BLOCK_SITES) + 2 * pad
             box_nm = np.concatenate([first_nm, first_nm + step_nm * (count - 1)])
             masses = _masses(beside.parts(dose, box_nm), box_nm, step_nm, (int(count[1]), int(count[0])))
-            # A block spreads its mass over its sides, which a node does not: less a 24th of the second differences.
+            # A node has no width, a block spreads its mass over its sides: subtract a 24th of the second differences.
             rough = masses.copy()
             for axis in (0, 1):
                 masses -= np.diff(np.pad(rough, [(1, 1) if k == axis else (0, 0) for k in (0, 1)]), 2, axis) / 24.0
             self._pad, self._blocks = (int(pad[1]), int(pad[0])), masses
 
     def long_range(self, block_mass: FloatArray) -> LongRange | None:
-        """Energy of the long ranges of the lens, with the masses of its blocks (nm^2), and of all beside it.
+        """Energy of the long ranges, of the lens and of all shapes beside it.
 
-        The masses have the shape (blocks_y, blocks_x).
+        ``block_mass``, nm^2, shape (blocks_y, blocks_x), holds the masses of the blocks of the lens.
         """
         pads = [(pad, pad) for pad in self._pad]
         found = LongRange.of(self._long, np.pad(block_mass, pads) + self._blocks, self._lattice.period_nm)
@@ -187,6 +185,7 @@ class BesideEnergy:
         box_nm, step_nm = np.concatenate([low, low + self._step_nm * (count - 1)]), np.full(2, self._step_nm)
         masses = _masses([(rectangles, doses)], box_nm, step_nm, (int(count[1]), int(count[0])))
         nodes = [low[axis] + self._step_nm * np.arange(count[axis]) for axis in (0, 1)]
+        # The mean over both edges adds (size / 2)^2 / 2 times the second derivative.
         eighth = (self._size_nm.T**2 / 8.0)[:, size_index]
         for weight, beta in zip(self._fine.weight, self._fine.range_nm, strict=True):
             along_x, along_y = (_profile(at, node, beta) for at, node in zip((x_nm, y_nm), nodes, strict=True))
@@ -233,9 +232,9 @@ def _masses(
 
 @compiled
 def _add_weights(low: float, high: float, weights: FloatArray) -> tuple[int, int]:
-    """Integrals of the cardinal functions of nodes 0, 1, ... over an interval: written, with the first and the end.
+    """Write the integrals of the nodes' cardinal functions over an interval; return the first node and the end.
 
-    Two Gauss points in each piece no longer than a step integrate the cubics exactly but where they change.
+    Nodes are 0, 1, ... Two Gauss points in each piece no longer than a step are exact for cubics, not across nodes.
     """
     first, end = max(0, int(np.floor(low)) - 1), min(weights.size, int(np.floor(high)) + 3)
     weights[first:end] = 0.0

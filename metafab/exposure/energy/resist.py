@@ -30,7 +30,7 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 TILE_SITES = 512
 #: Shortest range that reaches beyond the nearest neighbours, in distances of these.
 _MIDDLE_PERIODS = 0.3
-#: (rows, columns) of sites whose energy is summed in closed form: all nearer than two distances of neighbours. Columns
+#: (rows, columns) of sites whose energy is summed in closed form: all nearer than two lattice spacings. Columns
 #: of a hexagonal lattice are half of that distance apart.
 _NEAR, _NEAR_HEXAGONAL = (1, 1), (2, 3)
 #: Largest energy of a large pad that each Gaussian of a direct sum leaves out beyond its reach.
@@ -121,15 +121,15 @@ class ResistEnergy:
         energy = self._direct(dose, points)
         if self.beside is not None:
             reach_nm = float(self._reach_nm.max())
-            figures = replace(self.beside, lenses=())
+            further = replace(self.beside, lenses=())
             gaussians = (self.psf.weight, self.psf.range_nm, self._reach_nm)
             box_nm = np.concatenate([points.min(axis=0) - reach_nm, points.max(axis=0) + reach_nm])
-            for rectangles, doses in figures.parts(dose, box_nm):
+            for rectangles, doses in further.parts(dose, box_nm):
                 energy += _sum_rectangles(rectangles, doses, *gaussians, points)
             for lens in self.beside.lenses:
                 same = lens.pillars is self._pillars
                 other = self if same else ResistEnergy(lens.pillars, self.psf, self.beside.outline)
-                of_sites, factor = lens.shares(dose, self.beside.lens_dose)
+                of_sites, factor = lens.doses_and_factor(dose, self.beside.lens_dose)
                 energy += factor * other._direct(of_sites, points - np.array(lens.at_nm))
         return np.array([energy[0], energy[1:3].mean(), energy[3:].mean()])
 
@@ -224,7 +224,7 @@ def _with_margin(values: NDArray[Scalar], rows: slice, columns: slice, margin: i
 @compiled
 def _sum_rows(
     first: int,
-    behind: int,
+    stop: int,
     size_index: NDArray[np.uint16],
     dose: Float32Array,
     largest_nm: float,
@@ -240,7 +240,7 @@ def _sum_rows(
 
     Rectangles are those of :attr:`ResistEnergy._rectangles`. A Gaussian is left out beyond its reach.
     """
-    for row in range(first, behind):
+    for row in range(first, stop):
         for column in range(size_index.shape[1]):
             size = size_index[row, column]
             if size == 0:

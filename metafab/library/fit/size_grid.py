@@ -66,7 +66,7 @@ class SizeGrid:
         return number[column <= row] if self.exchange else number
 
     @cached_property
-    def even_order(self) -> IndexArray:
+    def space_filling(self) -> IndexArray:
         """All distinct points as a space-filling sequence: shape (n_distinct,).
 
         The first n points, for every n, have the density of Chebyshev points, for which polynomial least squares is

@@ -76,7 +76,11 @@ def require_neighbours(library: Library) -> Neighbours:
         return library.neighbours
     remedy = "build the library from a unit cell with a table `[neighbours]`, or use the solver rcwa, meep or lone"
     raise InputError.single(
-        f"library {library.inputs_sha256[:12]}", "neighbours", "a model of neighbours", "lone pillars only", remedy
+        f"library {library.inputs_sha256[:12]}",
+        "neighbours",
+        "a model of neighbours",
+        "pillars among equal neighbours only",
+        remedy,
     )
 
 

@@ -148,7 +148,7 @@ def sample_grid(
     first_round: int = FIRST_ROUND,
 ) -> GridSampling:
     """Solve sizes until the model's error estimate is within the tolerance at every other size."""
-    batch = grid.even_order if grid.diagonal else grid.even_order[:first_round]
+    batch = grid.space_filling if grid.diagonal else grid.space_filling[:first_round]
     # The solver's first answers show whether it gives slopes.
     part = batch[:FIRST_WITH_SLOPES] if batch.size < grid.distinct.size else batch
     solved = solve_sizes(part, batch.size)
@@ -243,7 +243,7 @@ def _next_even(grid: SizeGrid, solved: dict[int, SolvedPoint]) -> IndexArray:
     """Next sizes of the space-filling sequence."""
     is_solved = _is_solved(grid, solved).ravel()
     count = max(EVEN_ROUND, math.ceil(EVEN_GROWTH * len(solved)))
-    return grid.even_order[~is_solved[grid.even_order]][:count]
+    return grid.space_filling[~is_solved[grid.space_filling]][:count]
 
 
 def _next_worst(

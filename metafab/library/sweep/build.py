@@ -92,9 +92,10 @@ def build_lone(
     solver: CellSolver,
     numerics: BuildNumerics,
 ) -> Library:
-    """Build a library of lone pillars and save it, with a checkpoint named by the fingerprint of the build's inputs.
+    """Build a library of pillars among equal neighbours and save it.
 
-    See :func:`metafab.library.build_file`, which adds the model of neighbours.
+    Its checkpoint is named by the fingerprint of the build's inputs. :func:`metafab.library.build_file` adds the model
+    of neighbours.
     """
     inputs = inputs_of(unit_cell)
     with Checkpoint(path.with_name(f"{path.stem}.{inputs[:8]}.partial"), inputs) as record:

@@ -2,8 +2,8 @@
 
 Each line is JSON and its checksum: a header with the fingerprint of the build's inputs, then one record per point.
 Numbers read back exactly. Points are solved again from the first line that a kill cut short or that is damaged. The
-process that has the file open holds a lock, which ends with the process, and a hidden file beside names the process and
-its host. A second build of one library reports this and waits.
+process that has the file open holds a lock, which ends with the process. A hidden file beside it names the process and
+its host: a second build of the same library reports them and waits.
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ def _owner_file(path: Path) -> Path:
 
 
 def _record(line: bytes) -> Any:
-    """Record of a line; ValueError if its checksum is another's."""
+    """Record of a line; ValueError if its checksum does not match."""
     text, _, checksum = line.rpartition(b" ")
     if checksum != b"%08x" % zlib.crc32(text):
         raise ValueError("a line with another checksum")

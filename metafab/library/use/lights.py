@@ -23,10 +23,10 @@ from metafab.library.use.lookup import SizeTable, trust
 
 #: Starts of the search for constant phases, and most alternations of each.
 _STARTS, _ALTERNATIONS = 16, 60
-#: Overlaps that differ by less are equal, relative to the largest possible: the smallest index wins, whatever the
-#: rounding of the matrix product.
+#: Largest difference of equal overlaps, over the largest possible one. Of equal ones the smallest index wins, whatever
+#: the rounding of the matrix product.
 _EQUAL = 1e-12
-#: Products of sizes and sites that are held at once (32 MB), and in the search for constant phases.
+#: Overlaps of sizes and sites held at once (32 MB), and in the search for constant phases, which takes fewer sites.
 _HELD, _SEARCHED = 1 << 22, 1 << 20
 
 
@@ -52,17 +52,17 @@ class SizesOfLights:
             t = np.stack([found.t_xx, found.t_yy], axis=-1)
             of_light = np.concatenate([empty_cell_t(library.unit_cell)[None], t])
             tables.append(replace(table, t=of_light, error=np.concatenate([[0.0], found.error])))
-            # Slanting light counts by the power that it carries along z.
+            # Oblique light counts by the power that it carries along z.
             n_in, n_out = half_space_indices(library.unit_cell)
-            slanting = np.sqrt(power_ratio_of(library) / (n_out.real / n_in.real))
-            weighted = weight * slanting * t * trust(t, found.error, library.unit_cell.sweep.target_error)
+            oblique = np.sqrt(power_ratio_of(library) / (n_out.real / n_in.real))
+            weighted = weight * oblique * t * trust(t, found.error, library.unit_cell.sweep.target_error)
             fields.append(np.stack([weighted.real, weighted.imag], axis=-1).reshape(len(t), 4))
         return cls(tuple(tables), np.concatenate(fields, axis=1))
 
     def best(self, target_rad: FloatArray) -> tuple[NDArray[np.uint16], FloatArray]:
         """Find the best size for target phases of all lights, shape (K, 2, ...).
 
-        Row of the tables, counted from 1, and its weighted overlap: shape (...) each.
+        Returns the row of the tables, counted from 1, and its weighted overlap: shape (...) each.
         """
         targets = target_rad.reshape(2 * len(self.tables), -1)
         count = targets.shape[1]
@@ -79,8 +79,8 @@ class SizesOfLights:
     def constant_phases(self, target_rad: FloatArray, keeps_retardance: Sequence[bool] = ()) -> FloatArray:
         """Return the constants that, added to the targets, give the largest total overlap found: (K, 2), in (-pi, pi].
 
-        ``target_rad``, shape (K, 2, n), holds the target phases at a sample of sites; of many sites with many sizes,
-        some are used. Lights that keep their retardance, K flags, none by default, have one constant for x and y.
+        ``target_rad``, shape (K, 2, n), holds the target phases at n sites; of many sites every k-th is taken.
+        ``keeps_retardance``, K flags, marks lights whose x and y share one constant; none by default.
         """
         lights = len(self.tables)
         step = max(1, -(-target_rad.shape[-1] * len(self.field) // _SEARCHED))
@@ -96,9 +96,8 @@ class SizesOfLights:
             for _ in range(_ALTERNATIONS):
                 overlaps = self._overlaps(targets + offsets[:, None])
                 chosen = np.argmax(overlaps, axis=1)
-                if (reached := float(np.take_along_axis(overlaps, chosen[:, None], axis=1).sum())) <= total * (
-                    1 + 1e-9
-                ):
+                reached = float(np.take_along_axis(overlaps, chosen[:, None], axis=1).sum())
+                if reached <= total * (1.0 + 1e-9):
                     break
                 total = reached
                 sums = np.sum(fields[:, chosen] * np.exp(-1j * targets), axis=1)

@@ -80,8 +80,8 @@ def _chip(design: Design, chip: Chip, copies: Sequence[LensCopy]) -> list[Surrou
 
 def _lenses(design: Design, copies: Sequence[LensCopy]) -> _Box:
     """Bounding box of all lenses."""
-    across, along = [copy.x_dbu for copy in copies], [copy.y_dbu for copy in copies]
-    return _Box(min(across), min(along), max(across), max(along)).grown(aperture_dbu(design) // 2)
+    x_dbu, y_dbu = [copy.x_dbu for copy in copies], [copy.y_dbu for copy in copies]
+    return _Box(min(x_dbu), min(y_dbu), max(x_dbu), max(y_dbu)).grown(aperture_dbu(design) // 2)
 
 
 def _kit(design: Design, kit: Kit, around: Sequence[Surroundings]) -> list[Surroundings]:

@@ -133,7 +133,7 @@ class GdsiiReader:
             raise self._damaged("a database unit", "a library without UNITS")
 
     def _element(self, window: Window, start: int, kind: int, cell: Cell, runs: list[_Run]) -> int:
-        """Add the run of elements that begins at ``start`` to a cell; return the position behind the run."""
+        """Add the run of elements that begins at ``start`` to a cell; return the position after the run."""
         self.budget.work(_SECONDS_OF_A_RUN)
         fields: dict[int, bytes] = {}
         position, xy = start, (0, 0)

@@ -66,7 +66,7 @@ def real(value: float) -> bytes:
 
 @compiled
 def put(out: ByteArray, position: int, value: int) -> int:
-    """Write an unsigned integer to ``out``, shape (n,), at ``position``; return the position behind it."""
+    """Write an unsigned integer to ``out``, shape (n,), at ``position``; return the position after it."""
     while value >= 0x80:
         out[position] = value & 0x7F | 0x80
         value >>= 7
@@ -77,13 +77,13 @@ def put(out: ByteArray, position: int, value: int) -> int:
 
 @compiled
 def put_signed(out: ByteArray, position: int, value: int) -> int:
-    """Write a signed integer to ``out``, shape (n,), at ``position``; return the position behind it."""
+    """Write a signed integer to ``out``, shape (n,), at ``position``; return the position after it."""
     return put(out, position, abs(value) << 1 | (value < 0))
 
 
 @compiled
 def read_unsigned(data: ByteArray, position: int) -> tuple[int, int]:
-    """Read an unsigned integer from ``data``, shape (n,), at ``position``; return it and the position behind it.
+    """Read an unsigned integer from ``data``, shape (n,), at ``position``; return it and the position after it.
 
     The position is -1 if the data end or the integer has more than 63 bits.
     """
@@ -100,7 +100,7 @@ def read_unsigned(data: ByteArray, position: int) -> tuple[int, int]:
 
 @compiled
 def read_displacement(data: ByteArray, position: int, form: int) -> tuple[int, int, int]:
-    """Read a displacement from ``data``, shape (n,), at ``position``; return x, y and the position behind.
+    """Read a displacement from ``data``, shape (n,), at ``position``; return x, y and the position after it.
 
     ``form`` is 0 for a spacing along x, 1 along y, 2 for a g-delta (one of eight directions, or any). The position is
     -1 if the data end.
@@ -130,7 +130,7 @@ def _along(direction: int, length: int) -> tuple[int, int]:
 
 @compiled
 def read_moves(data: ByteArray, position: int, kind: int, moves: IntArray) -> int:
-    """Read the displacements of a point list into ``moves``, shape (m, 2); return the position behind, -1 if data end.
+    """Read the displacements of a point list into ``moves``, shape (m, 2); return the position after it, -1 at the end.
 
     Kinds 0 and 1 of lists alternate between x and y, 2 and 3 have four and eight directions, 4 and 5 are g-deltas.
     """
@@ -154,7 +154,7 @@ def read_moves(data: ByteArray, position: int, kind: int, moves: IntArray) -> in
 def read_displacements(data: ByteArray, position: int, form: int, offsets: IntArray) -> int:
     """Read the list of a repetition into ``offsets``, shape (m, 2), from its second row on; its first row is left.
 
-    ``form`` is that of :func:`read_displacement`. Return the position behind the list; -1 if the data end.
+    ``form`` is that of :func:`read_displacement`. Return the position after the list; -1 if the data end.
     """
     x, y = 0, 0
     for item in range(1, len(offsets)):
@@ -179,7 +179,7 @@ class Repetition(NamedTuple):
     fast_y: int  #: y of the step within a row.
     slow_x: int  #: x of the step between rows.
     slow_y: int  #: y of the step between rows.
-    end: int  #: Position behind what was read; -1 if the data end, the type is unknown or a count is implausible.
+    end: int  #: Position after what was read; -1 if the data end, the type is unknown or a count is implausible.
 
 
 @compiled
@@ -221,13 +221,13 @@ class Copies:
     def blocks(self) -> Iterator[IntArray]:
         """Places, shape (m, 2) each, the first (0, 0)."""
         for start in range(0, self.count, _BLOCK):
-            behind = min(start + _BLOCK, self.count)
+            stop = min(start + _BLOCK, self.count)
             if self.listed is not None:
-                yield self.listed[start:behind]
+                yield self.listed[start:stop]
                 continue
-            copy, read = np.arange(start, behind)[:, None], self.read
+            copy, read = np.arange(start, stop)[:, None], self.read
             if read is None:
-                yield np.zeros((behind - start, 2), dtype=np.int64)
+                yield np.zeros((stop - start, 2), dtype=np.int64)
                 continue
             fast, slow = np.array([read.fast_x, read.fast_y]), np.array([read.slow_x, read.slow_y])
             yield np.asarray(copy % read.columns * fast + copy // read.columns * slow)

@@ -140,10 +140,10 @@ def _write_records(
     step_x, step_y = period[0] // grid, period[1] // grid
     end, here = 0, 0
     for size in range(1, len(size_dbu)):
-        behind = end_of[size]
-        if behind == here:
+        stop = end_of[size]
+        if stop == here:
             continue
-        count = behind - here
+        count = stop - here
         width, length = size_dbu[size, 0], size_dbu[size, 1]
         x = first_dbu[0] + column[here] * period[0] + corner_dbu[size, 0]
         y = first_dbu[1] + row[here] * period[1] + corner_dbu[size, 1]
@@ -169,11 +169,11 @@ def _write_records(
         if count > 1:
             end = put(out, put(out, end, _ARBITRARY_ON_GRID), count - 2)
             end = put(out, end, grid)
-        for pillar in range(here + 1, behind):
+        for pillar in range(here + 1, stop):
             right = (column[pillar] - column[pillar - 1]) * step_x
             up = (row[pillar] - row[pillar - 1]) * step_y
             end = _put_displacement(out, end, right, up)
-        here = behind
+        here = stop
     return end
 
 

@@ -20,7 +20,7 @@ RUN = 1 << 16
 def read_rectangles(
     data: ByteArray, position: int, state: NDArray[np.int64], wanted: tuple[int, int, int], out: IntArray, capacity: int
 ) -> tuple[int, int]:
-    """Read RECTANGLE records; return the position behind the last one read, and the number of rectangles.
+    """Read RECTANGLE records; return the position after the last one read, and the number of rectangles.
 
     Stops at any other record, at another layer, at a repetition that repeats an earlier one, when ``capacity`` is
     reached, and where the data end; ``state`` is then as before the record that was not read.
@@ -73,7 +73,7 @@ def _copy(target: NDArray[np.int64], source: NDArray[np.int64]) -> None:
 
 @compiled
 def _read_fields(data: ByteArray, here: int, info: int, state: NDArray[np.int64]) -> int:
-    """Read the fields that the bits SWHXYRDL of ``info`` announce; return the position behind them, or -1."""
+    """Read the fields that the bits SWHXYRDL of ``info`` announce; return the position after them, or -1."""
     for bit, field_of_state in ((1, 0), (2, 1), (64, 4), (32, 5)):
         if here >= 0 and info & bit and not (bit == 32 and info & 128):
             state[field_of_state], here = read_unsigned(data, here)

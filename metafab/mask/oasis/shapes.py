@@ -63,7 +63,7 @@ def read_shape(kind: int, info: int, stream: Stream, modal: Modal) -> tuple[IntA
     Args:
         kind: type of the record, one of :data:`SHAPES`.
         info: its info byte.
-        stream: stands behind layer and datatype; afterwards before x and y.
+        stream: stands after layer and datatype; afterwards before x and y.
         modal: values of the fields that the record leaves out; updated.
 
     Returns:

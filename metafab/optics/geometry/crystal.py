@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -98,14 +99,16 @@ class Crystal:
         thickness_um = self.substrate.thickness_um
         kappa_x, kappa_y = self.plate.direction_cosines(x_um, y_um, vergence_per_um, tangent)
         ordinary, extraordinary = self.normal_components(kappa_x, kappa_y)
-        # Path to second order: the first is the change of q, the second the change of direction that it causes.
+        # The first order of the path is the change of q, its second order the change of direction that this causes.
         slope_x, slope_y = self._component_slopes(kappa_x, kappa_y)
         square = kappa_x**2 + kappa_y**2
-        air = 1.0 - vergence_per_um * thickness_um
+        # Derivative of the ray's transverse displacement over kappa, in object depths: across + radial kappa kappa^T.
+        in_plate = vergence_per_um * thickness_um
+        in_air = 1.0 - in_plate
         cosine = np.sqrt(1.0 - square)
-        across = air / cosine + vergence_per_um * thickness_um / ordinary
-        radial = air / cosine**3 + vergence_per_um * thickness_um / ordinary**3
-        # Inverse of across + radial kappa kappa^T.
+        across = in_air / cosine + in_plate / ordinary
+        radial = in_air / cosine**3 + in_plate / ordinary**3
+        # Its inverse (Sherman and Morrison) between the walk-off slopes.
         projection = slope_x * kappa_x + slope_y * kappa_y
         steep = (slope_x**2 + slope_y**2) / across - radial * projection**2 / (across * (across + radial * square))
         bend_um = 0.5 * vergence_per_um * thickness_um**2 * steep
@@ -125,7 +128,7 @@ class Crystal:
 
     def _jones(self, kappa_x: FloatArray, kappa_y: FloatArray, path_um: FloatArray) -> ComplexArray:
         """Jones matrix for a given path of the extraordinary minus the ordinary wave."""
-        modes = [self._mode(kappa_x, kappa_y, which) for which in (0, 1)]
+        modes = [self._mode(kappa_x, kappa_y, "ordinary"), self._mode(kappa_x, kappa_y, "extraordinary")]
         polarisations = np.stack([polarisation for polarisation, _ in modes], axis=-1)  # (..., 2 axes, 2 waves)
         if self.substrate.back_face == "coated":
             entering = np.swapaxes(polarisations, -1, -2)
@@ -135,9 +138,11 @@ class Crystal:
         matrices = (polarisations * phases[..., None, :]) @ entering
         return np.moveaxis(matrices, (-2, -1), (0, 1))
 
-    def _mode(self, kappa_x: FloatArray, kappa_y: FloatArray, which: int) -> tuple[FloatArray, FloatArray]:
+    def _mode(
+        self, kappa_x: FloatArray, kappa_y: FloatArray, wave: Literal["ordinary", "extraordinary"]
+    ) -> tuple[FloatArray, FloatArray]:
         """One wave: its direction of D in Ludwig's basis, shape (..., 2), and (E_x, E_y, H_x, H_y) of unit flux."""
-        q = self.normal_components(kappa_x, kappa_y)[which]
+        q = self.normal_components(kappa_x, kappa_y)[wave == "extraordinary"]
         wave_vector = np.stack([kappa_x, kappa_y, q], axis=-1)
         axis = np.array(self.axis)
         across = np.cross(wave_vector, axis)
@@ -145,7 +150,7 @@ class Crystal:
         azimuth = math.radians(self.substrate.azimuth_deg)
         any_across = np.cross(wave_vector, np.array([math.cos(azimuth), math.sin(azimuth), 0.0]))
         across = np.where(size > _ALONG_AXIS, across, any_across)
-        displacement = across if which == 0 else np.cross(across, wave_vector)
+        displacement = across if wave == "ordinary" else np.cross(across, wave_vector)
         displacement = displacement / np.linalg.norm(displacement, axis=-1, keepdims=True)
         o2, e2 = self.n_ordinary**2, self.n_extraordinary**2
         electric = displacement / o2 + (displacement @ axis)[..., None] * axis * (1.0 / e2 - 1.0 / o2)

@@ -17,7 +17,7 @@ from metafab.layout.pillars import PillarMap, resized
 from metafab.library import Library
 from metafab.mask.measured import read_measured
 
-#: Measured pillars around a place whose bias it takes.
+#: Number of measured pillars that give an unmeasured one its bias.
 _NEAREST = 4
 
 

@@ -51,7 +51,7 @@ def size_histogram(parts: Mapping[str, SizeErrors], axes: Axes) -> Axes:
         held = np.flatnonzero(share)
         if held.size:
             ends_nm += errors.cd_edges_nm[[held[0], held[-1] + 1]].tolist()
-    dress(axes, "printed less drawn size / nm", "widths and lengths a bin, %", "Size errors of all pillars")
+    dress(axes, "printed less drawn size / nm", "share of widths and lengths per bin, %", "Size errors of all pillars")
     logarithmic(axes, "y")
     if ends_nm:
         axes.set_xlim(min(ends_nm) - 0.1, max(ends_nm) + 0.1)

@@ -126,9 +126,9 @@ def _mapping(figures: MappingFigures) -> dict[str, float | None]:
         if figures.neighbour_efficiency is None
         else {
             "efficiency among neighbours": figures.neighbour_efficiency,
-            "of the sizes for lone pillars": figures.neighbour_efficiency_before,
+            "of the sizes for equal neighbours": figures.neighbour_efficiency_before,
             "local phase error among neighbours / rad rms": figures.neighbour_phase_rms_error_rad,
-            "of the sizes for lone pillars / rad rms": figures.neighbour_phase_rms_error_before_rad,
+            "of the sizes for equal neighbours / rad rms": figures.neighbour_phase_rms_error_before_rad,
         }
     )
 

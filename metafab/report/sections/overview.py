@@ -110,11 +110,11 @@ def _labels(lights: Sequence[LightFigures | LightMapping]) -> str:
 
 
 def _focus(merit: MeritFigures, among_neighbours: float | None) -> list[str]:
-    """Efficiency of a lens, times the share that full-wave rows leave of lone pillars' light, and its focus."""
+    """Efficiency of a lens by the library, times the share that full-wave rows leave of it, and its focus."""
     lone = 0.5 * (merit.pinhole_efficiency_x[0] + merit.pinhole_efficiency_y[0])
     text = f"of the light in a pinhole of {merit.pinhole_um:.3g} µm"
     if among_neighbours is not None:
-        text += f", by full wave of rows of unlike neighbours (lone pillars: {100 * lone:.0f}\u202f%)"
+        text += f", by full wave of rows of unlike neighbours (among equal neighbours: {100 * lone:.0f}\u202f%)"
     items = [html.headline(f"{100 * lone * (among_neighbours or 1.0):.0f}\u202f%", text)]
     if merit.focus is not None:
         width_um = 0.5 * (merit.focus.fwhm_x_um + merit.focus.fwhm_y_um)

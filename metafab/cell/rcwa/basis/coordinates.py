@@ -32,9 +32,9 @@ IntArray: TypeAlias = NDArray[np.intp]
 Matrix: TypeAlias = NDArray[Any]
 Formulation: TypeAlias = Literal["adaptive", "fourier"]
 
-#: The zone's share of the parameter range on either side, over the square root of its width (in half periods). On
-#: sloped silicon pillars with walls 0.02, 0.08 and 0.16 apart, at 5 to 8 orders, the best measured share was within a
-#: factor of two of this one.
+#: The zone's share of the range of u on either side, over the square root of its width in x (in half periods), and the
+#: largest share. On sloped silicon pillars with walls 0.02, 0.08 and 0.16 apart, at 5 to 8 orders, the best measured
+#: share was within a factor of two of this one.
 _ZONE_SHARE, _WIDEST_ZONE = 0.85, 0.5
 #: orders: (wall fraction at half filling, its change per 0.214 of filling, slope inside, slope outside). Slopes fall
 #: towards zero as the basis grows. Up to 9 orders they minimise the largest error over silicon pillars on sapphire;

@@ -47,7 +47,7 @@ CONSISTENT = 1e-10
 
 @dataclass(frozen=True)
 class Doubling:
-    """F and G of a layer; and, where they were kept, the steps of the doubling, for its reverse."""
+    """F and G of a layer and, if they are kept for derivatives in reverse mode, the steps of the doubling."""
 
     f: Matrix  #: Shape (n, n).
     g: Matrix  #: Shape (n, n).
@@ -85,12 +85,12 @@ def solve_by_doubling(
     """Solve one layer for the fields that the waves ``incident`` excite; None if rounding is too large.
 
     ``p`` and ``q`` are those of the layer, shape (n, n); ``incoming`` and ``outgoing`` plane waves of the half spaces
-    that the light comes from and behind. ``incident``, shape (n, k), is the transverse E of k waves where the layer
-    begins. ``largest_a`` bounds the real part of the eigenvalues of A, where a bound is known. The steps of the
-    doubling are kept for :func:`metafab.cell.rcwa.scattering.reverse.pull_back_doubled` if ``keep`` is true.
+    before and behind it. ``incident``, shape (n, k), is the transverse E of k waves at the near face. ``largest_a``
+    bounds the real part of the eigenvalues of A, where a bound is known. The steps of the doubling are kept for
+    :func:`metafab.cell.rcwa.scattering.reverse.pull_back_doubled` if ``keep`` is true.
     """
     with np.errstate(all="ignore"):  # non-finite values fail the reciprocity test below
-        half = doubled(p, q, thickness_k0, largest_a, last=1, keep=keep)
+        half = doubled(p, q, thickness_k0, largest_a, omitted=1, keep=keep)
         if half is None:
             return None
         f = half.f
@@ -132,15 +132,15 @@ def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -
     ``largest_a`` bounds the real part of the eigenvalues of A, where one is known.
     """
     with np.errstate(all="ignore"):  # non-finite values reach the result, which the caller tests
-        whole = doubled(p, q, thickness_k0, largest_a, last=0)
+        whole = doubled(p, q, thickness_k0, largest_a, omitted=0)
         both = None if whole is None else _solve(p, np.hstack([whole.f, whole.g]))
     return None if both is None else (both[:, : len(p)], both[:, len(p) :])
 
 
 def doubled(
-    p: Matrix, q: Matrix, thickness: float, largest_a: float, *, last: int, keep: bool = False
+    p: Matrix, q: Matrix, thickness: float, largest_a: float, *, omitted: int, keep: bool = False
 ) -> Doubling | None:
-    """F and G of the layer by doubling, without the ``last`` doublings (at least one yields G); None if it fails."""
+    """F and G of 2^-``omitted`` of a layer: so many doublings are left out. None if a matrix is singular."""
     powers = _powers(p, q)
     halvings = _halvings(powers, thickness, largest_a)
     if halvings is None:
@@ -150,7 +150,8 @@ def doubled(
     numerator, denominator = lambert(powers, thin_k0)
     f, g = _quotient(numerator, denominator, factors), powers[0]
     thin = f
-    for doubling in range(halvings - last):
+    # The first doubling has A in place of G: G of the thin slab is not known.
+    for doubling in range(halvings - omitted):
         ratio = None if f is None else _quotient(g, f, None if doubling else factors)
         if f is None or ratio is None:
             return None
@@ -205,7 +206,7 @@ def lambert(powers: Matrix, thickness: float) -> Matrix:
 
 
 def lambert_coefficients(thickness: float) -> Matrix:
-    """Coefficients of the powers 0 to 4 of A in both, shape (2, 5)."""
+    """Coefficients of the powers 0 to 4 of A in numerator and denominator, shape (2, 5)."""
     scaled = _LAMBERT * thickness ** (2.0 * np.arange(5))
     scaled[1] *= thickness
     return np.asarray(scaled)
