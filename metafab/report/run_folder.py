@@ -27,7 +27,7 @@ from metafab.optics.point_spread import Psf
 from metafab.phase.studies.study import PhaseStudy
 from metafab.spec import Design
 from metafab.spec.light import light_label
-from metafab.spec.terms import forms_images
+from metafab.spec.terms import forms_images, has_lobe
 from metafab.steps import RunSummary
 
 Loaded = TypeVar("Loaded")
@@ -75,9 +75,7 @@ class DesignOutline:
     @property
     def has_lobe(self) -> bool:
         """Whether a lobe beside the image point carries the light; assumed if the phase terms are unknown."""
-        terms = set(self.terms)
-        own = bool({"array", "zernike"} & terms) and bool({"lens", "split_lens"} & terms)
-        return not terms or own or bool({"spiral_zones", "double_helix"} & terms)
+        return not self.terms or has_lobe(self.terms)
 
     @property
     def own_light(self) -> str:

@@ -207,3 +207,9 @@ PhaseTerm = Annotated[
 def forms_images(terms: Collection[str]) -> bool:
     """Whether a device of terms of these names images points: a lens or a phase of one's own, and no hologram."""
     return not {"lens", "split_lens", "radial", "array"}.isdisjoint(terms) and "hologram" not in terms
+
+
+def has_lobe(terms: Collection[str]) -> bool:
+    """Whether a device of terms of these names may send its light to a lobe beside the image point."""
+    own = not {"array", "zernike", "zernikes"}.isdisjoint(terms) and not {"lens", "split_lens"}.isdisjoint(terms)
+    return own or not {"spiral_zones", "double_helix"}.isdisjoint(terms)

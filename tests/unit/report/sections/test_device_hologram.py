@@ -125,6 +125,7 @@ def test_a_mask_for_several_lights_has_its_figures_in_each_of_them(run: RunFolde
 
 def test_the_outline_knows_what_images_and_what_stands_at_infinity() -> None:
     assert DesignOutline(terms=("radial",)).forms_images and not DesignOutline(terms=("grating",)).forms_images
+    assert DesignOutline(terms=("lens", "zernikes")).has_lobe and not DesignOutline(terms=("lens",)).has_lobe
     small, large = (DesignOutline(aperture_um=um, wavelength_nm=800.0) for um in (100.0, 50_000.0))
     # Rims of 2e-6 and 0.39 waves.
     assert small.is_parallel(1000.0) and not large.is_parallel(1000.0) and large.is_parallel(math.inf)
