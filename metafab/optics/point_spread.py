@@ -1,4 +1,4 @@
-"""Psf, the result of the optics room: point-spread functions of both polarisations over depth and field."""
+"""Psf, the result of :mod:`metafab.optics`: point-spread functions of both polarisations over depth and field."""
 
 from __future__ import annotations
 

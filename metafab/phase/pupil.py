@@ -3,7 +3,7 @@
 Positions are divided by the aperture's radius R, so the rim is at u = 1. An object nearer than the focus adds the phase
 W u^2 with the rim defocus ``W = (k R^2 / 2) (1/depth - 1/focus_depth)``. The focal plane is in optical units
 ``v = k R x' / s'`` (the first dark ring of Airy's disc is at v = 3.83). PSF values are Strehl ratios: 1 is the peak of
-the same aperture without aberration. Helices are designed here; the optics room then computes their PSFs exactly.
+the same aperture without aberration. Helices are designed here; :mod:`metafab.optics` then computes their PSFs exactly.
 """
 
 from __future__ import annotations

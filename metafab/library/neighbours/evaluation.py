@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from metafab.library.library import Library
 
 #: Error of a block over the product of the rms steps of t from site to site along x and along y, each relative to t:
-#: what rows and columns do together, and cross-polarised light, take steps in both directions. Measured by spectral
+#: the joint effect of rows and columns, and cross-polarised light, need steps in both directions. Measured by spectral
 #: elements, with rows and columns solved exactly, on both lights of 21 blocks: at most 0.75 on eight of 3 x 3 as in a
 #: lens and on twelve of 2 x 2 and 3 x 3 random pillars, 0.3 and 1.6 on one of 4 x 4 as in a lens.
 _BLOCK_SHARE = 2.0

@@ -40,8 +40,8 @@ def quality(library: Library) -> Quality:
     slope = phase_slope_per_nm(library)[library.known][chosen]
     passed = power_transmittance(library)[library.known]
     hole_rad, hole = _worst_hole(_transparent(library), targets)
-    # A pillar without loss has |t| != 1, because the half spaces have different impedances.
-    lossless = float(np.sqrt(passed / np.maximum(np.abs(t) ** 2, 1e-300)).mean())
+    # The root of the power over |t| is not 1: the half spaces have different impedances.
+    root_power_per_t = float(np.sqrt(passed / np.maximum(np.abs(t) ** 2, 1e-300)).mean())
     return Quality(
         coverage_rad=coverage_rad(library),
         torus_coverage=float(np.mean(hole_rad <= REACH_RAD)),
@@ -51,7 +51,7 @@ def quality(library: Library) -> Quality:
         phase_rms_error_rad=float(np.sqrt(np.mean(error_rad**2))),
         phase_max_error_rad=float(np.abs(error_rad).max()),
         mean_transmittance=float(passed[chosen].mean()),
-        mean_overlap=float(overlap.mean() * lossless / 2.0),
+        mean_overlap=float(overlap.mean() * root_power_per_t / 2.0),
         cd_phase_rms_rad=float(CD_BIAS_NM * np.sqrt(np.mean(slope**2))),
     )
 

@@ -2,7 +2,7 @@
 
 Two sources: a point of known position and brightness, and a patch of unknown texture. A lens and a double helix locate
 the point, but give no information about the texture: the two images of their pair are equal, or equal up to a constant
-mirror. The optics room computes the same bounds for a written mask (:mod:`metafab.information.fisher`).
+mirror. For a written mask, :mod:`metafab.information.fisher` computes the same bounds.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class DepthBounds:
     masks: tuple[str, ...]  #: Names.
     #: Shape (n_mask, n_depth), standard deviation for a point source of known position and brightness.
     point_m: FloatArray
-    #: Shape (n_mask, n_depth), standard deviation for a patch of unknown texture of m x m Nyquist pixels, m = 2 samples
-    #: of the pupil; infinite without information.
+    #: Shape (n_mask, n_depth), standard deviation for a patch of unknown texture of m x m Nyquist pixels, m twice the
+    #: pupil's samples a side; infinite without information.
     texture_m: FloatArray
 
 

@@ -1,7 +1,7 @@
 """Study of a design's target phases: the main lobe, bounds of depth, and the cost of the colour filter.
 
 All of it is at the level of the paraxial pupil, about the axis of the split: it takes seconds, before any pillar is
-placed. The optics room measures the same quantities in the written file.
+placed. :mod:`metafab.optics` measures the same quantities in the written file.
 """
 
 from __future__ import annotations
