@@ -24,7 +24,7 @@ FOLDER = "_gallery"
 PICTURES = {"mask": "The whole mask", "mask_close": "Single pillars", "psf_pair": "What the written file does to light"}
 
 #: Steps whose results are not shown.
-NOT_SHOWN = {"study", "capture", "decode"}
+NOT_SHOWN = {"study", "orders", "capture", "decode"}
 
 
 class Device(Directive):

@@ -12,7 +12,7 @@ from metafab import fullwave
 from metafab.core.errors import SolverError
 from metafab.core.figures import LightMapping, LineStatistics
 from metafab.core.storage.files import file_sha256
-from metafab.fullwave.coupling import CouplingRow
+from metafab.fullwave.coupling import Coupling, CouplingRow
 from metafab.spec import Design, load_design, write_new
 from metafab.spec.new import NewLens
 from metafab.steps.images import DecodeFigures
@@ -67,7 +67,7 @@ def _line(coupling: CouplingFigures | None) -> BudgetLine:
 def test_rows_of_any_of_the_masks_count(job: Job, which: int, file: str) -> None:
     """By ``metafab coupling``, or by the run itself for a steep lens."""
     sha = file_sha256(mask_paths(job)[which])
-    fullwave.save_coupling(fullwave.Coupling(sha, (ROW,)), job.folder / file)
+    fullwave.save_coupling(Coupling(sha, (ROW,)), job.folder / file)
     recorded = recorded_coupling(job)
     assert recorded is not None
     assert recorded.coupling_error == pytest.approx(0.12)
@@ -76,7 +76,7 @@ def test_rows_of_any_of_the_masks_count(job: Job, which: int, file: str) -> None
 
 
 def test_rows_of_another_mask_do_not(job: Job) -> None:
-    fullwave.save_coupling(fullwave.Coupling("another", (ROW,)), job.folder / "coupling.json")
+    fullwave.save_coupling(Coupling("another", (ROW,)), job.folder / "coupling.json")
     assert recorded_coupling(job) is None
     assert _line(None).value is None
 
@@ -93,6 +93,22 @@ def test_rows_that_were_not_solved_are_a_line_of_the_summary(
     monkeypatch.setattr("metafab.steps.orders.mask_source", Mock(side_effect=SolverError("a singular layer")))
     found = ORDERS.work(Job(design, tmp_path))
     assert found.sentence == "by the library alone: not solved (a singular layer)"
+
+
+def test_the_rows_of_a_steep_lens_are_kept_with_its_mask(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lens = NewLens(numerical_aperture=0.9, aperture_um=20.0)
+    job = Job(load_design(write_new("own", "metalens", tmp_path, lens=lens)[0]), tmp_path)
+    for path in mask_paths(job):
+        path.write_bytes(b"a mask")
+    monkeypatch.setattr("metafab.steps.orders.mask_source", Mock())
+    monkeypatch.setattr("metafab.steps.orders.open_library", Mock())
+    monkeypatch.setattr(
+        "metafab.fullwave.coupling.measure_rings", lambda _pillars, _library, _radius, sha, _: Coupling(sha, (ROW,))
+    )
+    found = ORDERS.work(job)
+    assert (found.windows, found.coupling_error) == (1, pytest.approx(0.12))
+    recorded = recorded_coupling(job)
+    assert recorded is not None and recorded.rows == 1
 
 
 def test_without_rows_nothing_is_measured_and_nothing_hashed(tmp_path: Path, small_design: Design) -> None:
