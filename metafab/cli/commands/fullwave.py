@@ -168,7 +168,7 @@ def fullwave_command(
     workers: Workers = None,
     json_: Json = False,
 ) -> None:
-    """Compute the transmitted orders of supercells: by one of four solvers.
+    """Compute the transmitted orders of supercells by one of four solvers.
 
     ``model`` is the library's model of unlike neighbours, ``lone`` the local-period approximation: each pillar as in a
     lattice of equal pillars.
