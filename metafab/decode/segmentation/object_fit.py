@@ -15,14 +15,18 @@ was measured.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
+from itertools import groupby
+from typing import Any
 
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.parallel.executor import kept_threads
 from metafab.decode.matching.filter_basis import frequencies
 from metafab.decode.segmentation.layer_light import LayerOptics, at_depth, texture_amplitude
 from metafab.decode.segmentation.null_channel import Rectangle
@@ -61,7 +65,12 @@ _LEVELS, _LEAST_HALF = (0.1, 3.0), 0.8
 #: Square of the preconditioned gradient below which the conjugate gradients have converged.
 _CONVERGED = 1e-12
 
-#: Logarithm of vergence, rectangle, and mean intensity of the surface and of the object in both images: shape (9,).
+#: Least divisor of conjugate gradients.
+_LEAST = float(np.finfo(np.float64).tiny)
+#: Objects that are fitted at once: their data stay in a core's cache.
+_AT_ONCE = 10
+
+#: Logarithm of vergence, rectangle, and mean intensity of the surface and of the object in both images: shape (k, 9).
 _Unknowns = FloatArray
 _Spectra = NDArray[np.complex64]
 
@@ -75,96 +84,138 @@ class FittedObject:
     rectangle: Rectangle  #: Middle from the window's middle, and half sides.
 
 
-def fitted_object(
-    prepared: PreparedFrame,
-    optics: LayerOptics,
-    middle: tuple[int, int],
-    extent: int,
-    surface: tuple[float, FloatArray],
-    start: tuple[float, Rectangle],
-) -> FittedObject | None:
-    """Fit the object in a window about a pixel (row, column); None beyond the surface or the nearest calibrated depth.
+@dataclass(frozen=True)
+class ObjectStart:
+    """Where the fit of an object begins."""
 
-    Args:
-        prepared: the frame.
-        optics: the pair on its downsampled pixels.
-        middle: the pixel.
-        extent: largest side of the object's blob, downsampled pixels.
-        surface: 1/depth of the surface, and its mean light in both images, shape (2,), of which the ratio counts.
-        start: 1/depth of the object, and its rectangle, the middle from the window's.
+    middle: tuple[int, int]  #: Downsampled pixel (row, column) in the middle of its window.
+    extent: int  #: Largest side of its blob, downsampled pixels.
+    surface_per_m: float  #: 1/depth of the surface behind it.
+    level_e: FloatArray  #: Mean light of the surface in both images, shape (2,), of which the ratio counts.
+    vergence_per_m: float  #: 1/depth.
+    rectangle: Rectangle  #: Middle from the window's middle, and half sides.
+
+    def side(self, optics: LayerOptics) -> int:
+        """Side of the window, downsampled pixels."""
+        wanted = max(_SIDE, optics.kernels.shape[-1], self.extent + 2 * _RIM + _ROOM)
+        return 2 * int(scipy.fft.next_fast_len(-(-wanted // 2), real=True))
+
+
+def fitted_objects(
+    prepared: PreparedFrame, optics: LayerOptics, starts: Sequence[ObjectStart]
+) -> list[FittedObject | None]:
+    """Fit objects, each by itself; None for those beyond their surface or the nearest calibrated depth.
+
+    Fits with windows of one side are computed a few at a time: the cost of calls outweighs that of small transforms.
     """
-    window = _Window.of(prepared, optics, middle, extent, *surface)
+    sides = [start.side(optics) for start in starts]
+    order = sorted(range(len(starts)), key=lambda number: sides[number])
+    groups = [list(group) for _, group in groupby(order, key=lambda number: sides[number])]
+    batches = [group[at : at + _AT_ONCE] for group in groups for at in range(0, len(group), _AT_ONCE)]
+    fitted: dict[int, FittedObject | None] = {}
+    with kept_threads() as pool:
+        found = pool.map(lambda batch: _fitted(prepared, optics, [starts[number] for number in batch]), batches)
+        for batch, one in zip(batches, found, strict=True):
+            fitted.update(zip(batch, one, strict=True))
+    return [fitted[number] for number in range(len(starts))]
+
+
+def _fitted(prepared: PreparedFrame, optics: LayerOptics, starts: Sequence[ObjectStart]) -> list[FittedObject | None]:
+    """Fits with windows of one side, in rounds in which those that have not settled are solved together."""
+    window, count = _Window.of(prepared, optics, starts), len(starts)
     origin = np.array([window.side // 2, window.side // 2, 0.0, 0.0])
-    unknowns = np.concatenate([[math.log(start[0])], start[1] + origin, np.ones(4)])
-    textures = np.zeros((2, window.side, window.side // 2 + 1), dtype=np.complex64)
+    depths = np.log([[one.vergence_per_m] for one in starts])
+    unknowns = np.hstack([depths, [one.rectangle + origin for one in starts], np.ones((count, 4))])
+    textures = np.zeros((count, 2, window.side, window.side // 2 + 1), dtype=np.complex64)
+    farthest = np.log(window.surface_per_m)
     nearest = math.log(float(1.0 / optics.calibration.kernels.psf.depth_m.min()))
-    first = _LEVELS_AT  # first free unknown: without textures, only mean intensities are fitted
-    of_textures, before, moved, steps = np.zeros(9), 0.0, 0.0, _STEPS_FAR
-    for _ in range(_ROUNDS):
-        change, change_of_textures = _Linear.of(window, unknowns, textures, first).solved(of_textures, steps)
-        # A step of depth that turns back ends at the zero of the secant. Full ones undo up to 0.9 of the last: textures
-        # follow depth only in part.
-        share = min(1.0, moved / (before - change[0])) if before * change[0] < 0.0 else 1.0
-        step = np.clip(share * change, -_LARGEST, _LARGEST)
-        before, moved = change[0], step[0]
-        steps = _STEPS if not first and abs(before) < _FAR else _STEPS_FAR
-        unknowns, textures = unknowns + step, textures + np.float32(share) * change_of_textures
-        unknowns[3:5] = np.maximum(unknowns[3:5], _LEAST_HALF)
-        unknowns[5:] = np.clip(unknowns[5:], *_LEVELS)
-        if not math.log(surface[0]) < unknowns[0] < nearest:
-            return None
-        if not first and of_textures.any() and abs(change[0]) < _SETTLED:
+    of_textures, integrated = np.zeros((count, 9)), np.zeros(count, dtype=bool)
+    before, moved, steps = np.zeros(count), np.zeros(count), np.full(count, _STEPS_FAR)
+    inside, going = np.ones(count, dtype=bool), np.ones(count, dtype=bool)
+    for number in range(_ROUNDS):
+        # Without textures, only mean intensities are fitted.
+        first = 0 if number else _LEVELS_AT
+        for most in np.unique(steps[going]).tolist():
+            at = np.flatnonzero(going & (steps == most))
+            linear = _Linear.of(window.taken(at), unknowns[at], textures[at], first)
+            change, change_of_textures = linear.solved(of_textures[at], most)
+            # A step of depth that turns back ends at the zero of the secant. Full ones undo up to 0.9 of the last:
+            # textures follow depth only in part.
+            back, share = before[at] * change[:, 0] < 0.0, np.ones(len(at))
+            np.divide(moved[at], before[at] - change[:, 0], out=share, where=back)
+            share = np.minimum(share, 1.0)
+            step = np.clip(share[:, None] * change, -_LARGEST, _LARGEST)
+            before[at], moved[at] = change[:, 0], step[:, 0]
+            unknowns[at] += step
+            textures[at] += _wide(share) * change_of_textures
+        unknowns[:, 3:5] = np.maximum(unknowns[:, 3:5], _LEAST_HALF)
+        unknowns[:, 5:] = np.clip(unknowns[:, 5:], *_LEVELS)
+        inside &= (farthest < unknowns[:, 0]) & (unknowns[:, 0] < nearest)
+        going &= inside
+        if first:
+            continue
+        steps = np.where(np.abs(before) < _FAR, _STEPS, _STEPS_FAR)
+        going &= ~(integrated & (np.abs(before) < _SETTLED))
+        at = np.flatnonzero(going & ~integrated & (np.abs(before) < _NEAR))
+        if at.size:
+            of_textures[at], before[at] = _determinant_slopes(window.taken(at), unknowns[at]), 0.0
+            integrated[at] = True
+        if not going.any():
             break
-        if not first and not of_textures.any() and abs(change[0]) < _NEAR:
-            of_textures, before = _determinant_slopes(window, unknowns), 0.0
-        first = 0
-    error = _ERROR_RATIO * _Linear.of(window, unknowns, textures, 0).depth_error()
-    return FittedObject(math.exp(unknowns[0]), error, unknowns[1:5] - origin)
+    fitted: list[FittedObject | None] = [None] * count
+    at = np.flatnonzero(inside)
+    if at.size:
+        errors = _ERROR_RATIO * _Linear.of(window.taken(at), unknowns[at], textures[at], 0).depth_errors()
+        for number, error in zip(at.tolist(), errors.tolist(), strict=True):
+            vergence, *_ = np.exp(unknowns[number]).tolist()
+            fitted[number] = FittedObject(vergence, error, unknowns[number, 1:5] - origin)
+    return fitted
 
 
 @dataclass(frozen=True)
 class _Window:
-    """A square about an object, and the surface behind it."""
+    """Squares about k objects, and the surfaces behind them."""
 
     optics: LayerOptics
-    images: NDArray[np.float32]  # (2, n, n), electrons
-    weight: NDArray[np.float32]  # (2, n, n), inverse deviation of noise and model; 0 where nothing is compared
-    pair: _Spectra  # (n_depth, 2, n, n // 2 + 1), transforms of the pair at the calibrated depths
-    surface_per_m: float
-    surface: _Spectra  # (2, n, n // 2 + 1), those at the surface
-    light: float  # mean light of the surface, electrons
-    amplitude: NDArray[np.float32]  # (n, n // 2 + 1), that of both textures, electrons
+    images: NDArray[np.float32]  # (k, 2, n, n), electrons
+    weight: NDArray[np.float32]  # (k, 2, n, n), inverse deviation of noise and model; 0 where nothing is compared
+    pair: _Spectra  # (k, n_depth, 2, n, n // 2 + 1), transforms of the pair at the calibrated depths
+    surface_per_m: FloatArray  # (k,)
+    surface: _Spectra  # (k, 2, n, n // 2 + 1), those at the surface
+    light: NDArray[np.float32]  # (k, 1, 1, 1), mean light of the surface, electrons
+    amplitude: NDArray[np.float32]  # (k, 1, n, n // 2 + 1), that of both textures, electrons
 
     @property
     def side(self) -> int:
         return int(self.images.shape[-1])
 
     @classmethod
-    def of(
-        cls,
-        prepared: PreparedFrame,
-        optics: LayerOptics,
-        middle: tuple[int, int],
-        extent: int,
-        surface_per_m: float,
-        level_e: FloatArray,
-    ) -> _Window:
-        wanted = max(_SIDE, optics.kernels.shape[-1], extent + 2 * _RIM + _ROOM)
-        n, step = 2 * scipy.fft.next_fast_len(-(-wanted // 2), real=True), prepared.downsampling.step
-        images, inside = prepared.about(middle, n)
-        inside[:_RIM] = inside[-_RIM:] = inside[:, :_RIM] = inside[:, -_RIM:] = False
-        pair = optics.pair_about(middle, n)
-        surface = at_depth(optics, pair, surface_per_m)
-        through = surface[:, 0, 0].real
-        share = level_e / through
-        share = share / share.mean()
-        median = np.median(images[:, inside], axis=1)
-        light = float((median / through / share).mean())
-        variance = (np.maximum(median, 0.0) + prepared.levels.read_noise_e**2) / step**2 + (_MODEL_ERROR * light) ** 2
-        weight = (inside / np.sqrt(variance)[:, None, None]).astype(np.float32)
-        amplitude = np.float32(_TEXTURE * light) * texture_amplitude((n, n), step)
-        factors = share[:, None, None].astype(np.float32)
-        return cls(optics, images, weight, pair, surface_per_m, surface * factors, light, amplitude)
+    def of(cls, prepared: PreparedFrame, optics: LayerOptics, starts: Sequence[ObjectStart]) -> _Window:
+        """The windows of starts with one side."""
+        n, step = starts[0].side(optics), prepared.downsampling.step
+        parts = []
+        for start in starts:
+            square, inside = prepared.about(start.middle, n)
+            inside[:_RIM] = inside[-_RIM:] = inside[:, :_RIM] = inside[:, -_RIM:] = False
+            pair = optics.pair_about(start.middle, n)
+            surface = at_depth(optics, pair, start.surface_per_m)
+            through = surface[:, 0, 0].real
+            share = start.level_e / through
+            share = share / share.mean()
+            median = np.median(square[:, inside], axis=1)
+            level = np.float32((median / through / share).mean())
+            noise = (np.maximum(median, 0.0) + prepared.levels.read_noise_e**2) / step**2
+            weight = (inside / np.sqrt(noise + (_MODEL_ERROR * level) ** 2)[:, None, None]).astype(np.float32)
+            factors = share[:, None, None].astype(np.float32)
+            parts.append((square, weight, pair, np.asarray(start.surface_per_m), surface * factors, level))
+        images, weight, pair, surface_per_m, surface, mean = (np.stack(one) for one in zip(*parts, strict=True))
+        light = mean.reshape(-1, 1, 1, 1)
+        amplitude = np.float32(_TEXTURE) * light * texture_amplitude((n, n), step)
+        return cls(optics, images, weight, pair, surface_per_m, surface, light, amplitude)
+
+    def taken(self, at: NDArray[np.intp]) -> _Window:
+        """Some of the windows."""
+        return _Window(self.optics, *(getattr(self, one.name)[at] for one in fields(self)[1:]))
 
     def spectra(self, pictures: NDArray[np.float32]) -> _Spectra:
         return np.asarray(scipy.fft.rfft2(pictures))
@@ -175,47 +226,48 @@ class _Window:
 
 @dataclass(frozen=True)
 class _Depth:
-    """Optics of an object's depth in a window."""
+    """Optics of the objects' depths in windows."""
 
-    pair: _Spectra  # (2, n, n // 2 + 1), the pair
-    aperture: _Spectra  # (n, n // 2 + 1), share of the aperture that a point covers before the surface
+    pair: _Spectra  # (k, 2, n, n // 2 + 1), the pair
+    aperture: _Spectra  # (k, n, n // 2 + 1), share of the aperture that a point covers before the surface
 
     @classmethod
-    def of(cls, window: _Window, log_vergence: float) -> _Depth:
-        vergence, optics = math.exp(log_vergence), window.optics
-        aperture = optics.aperture(vergence - window.surface_per_m, (window.side, window.side))
-        return cls(at_depth(optics, window.pair, vergence), aperture)
+    def of(cls, window: _Window, log_vergence: FloatArray) -> _Depth:
+        optics, size, vergence = window.optics, (window.side, window.side), np.exp(log_vergence)
+        before = (vergence - window.surface_per_m).tolist()
+        pairs = (at_depth(optics, *one) for one in zip(window.pair, vergence.tolist(), strict=True))
+        return cls(np.stack(list(pairs)), np.stack([optics.aperture(one, size) for one in before]))
 
 
 @dataclass(frozen=True)
 class _Scene:
-    """The surface and the object of given unknowns in a window."""
+    """The surfaces and the objects of given unknowns in windows."""
 
     window: _Window
-    levels: NDArray[np.float32]  # (2, 2, 1, 1), mean intensities of the surface and of the object in both images
-    means: NDArray[np.float32]  # (2, 2, n, n), images of the surface and of the object per mean intensity, electrons
-    pair: _Spectra  # (2, n, n // 2 + 1), the pair at the object's depth
-    cover: NDArray[np.float32]  # (n, n), share of each pixel that the object covers, low frequencies
-    seen: NDArray[np.float32]  # (n, n), share of the aperture that sees the surface
-    balance: NDArray[np.float32]  # (2, n, n), share of the surface's blurred light that the camera adds
+    levels: NDArray[np.float32]  # (k, 2, 2, 1, 1), mean intensities of the surface and of the object in both images
+    means: NDArray[np.float32]  # (k, 2, 2, n, n), images of the surface and of the object per mean intensity, electrons
+    pair: _Spectra  # (k, 2, n, n // 2 + 1), the pair at the object's depth
+    cover: NDArray[np.float32]  # (k, 1, n, n), share of each pixel that the object covers, low frequencies
+    seen: NDArray[np.float32]  # (k, 1, n, n), share of the aperture that sees the surface
+    balance: NDArray[np.float32]  # (k, 2, n, n), share of the surface's blurred light that the camera adds
 
     @classmethod
     def of(cls, window: _Window, depth: _Depth, unknowns: _Unknowns) -> _Scene:
-        n, (middle_y, middle_x, half_y, half_x) = window.side, unknowns[1:5].tolist()
+        n, (middle_y, middle_x, half_y, half_x) = window.side, unknowns[:, 1:5, None].swapaxes(0, 1)
         y, x = (
             2.0 * half * np.sinc(2.0 * half * one) * np.exp(-2j * np.pi * middle * one)
             for one, middle, half in zip(frequencies((n, n), 1), (middle_y, middle_x), (half_y, half_x), strict=True)
         )
-        cover = np.outer(y, x).astype(np.complex64)
-        hidden = cover * depth.aperture
-        through, own = (one[:, :1, :1].real for one in (window.surface, depth.pair))
+        cover = (y[:, None, :, None] * x[:, None, None, :]).astype(np.complex64)
+        hidden = cover * depth.aperture[:, None]
+        through, own = (one[..., :1, :1].real for one in (window.surface, depth.pair))
         blurred = window.pictures(depth.pair * cover)
-        veil, light = blurred / own, np.float32(window.light)
+        veil = blurred / own
         covered, open_share = window.pictures(np.stack([cover, hidden]))
         return cls(
             window,
-            unknowns[5:].reshape(2, 2, 1, 1).astype(np.float32),
-            np.stack([light * through * (1.0 - veil), light * blurred]),
+            unknowns[:, 5:].reshape(-1, 2, 2, 1, 1).astype(np.float32),
+            np.stack([window.light * through * (1.0 - veil), window.light * blurred], axis=1),
             depth.pair,
             covered,
             1.0 - open_share,
@@ -224,16 +276,19 @@ class _Scene:
 
     @cached_property
     def object(self) -> _Spectra:
-        """The pair times the object's mean intensities, shape (2, n, n // 2 + 1)."""
-        return np.asarray(self.pair * self.levels[1])
+        """The pair times the objects' mean intensities, shape (k, 2, n, n // 2 + 1)."""
+        return np.asarray(self.pair * self.levels[:, 1])
 
     @property
     def mean(self) -> NDArray[np.float32]:
-        """Images without textures, shape (2, n, n), electrons."""
-        return np.asarray((self.levels * self.means).sum(axis=0))
+        """Images without textures, shape (k, 2, n, n), electrons."""
+        return np.asarray((self.levels * self.means).sum(axis=1))
 
     def textured(self, textures: _Spectra) -> NDArray[np.float32]:
-        """Images of both textures, shape (..., 2, n, n), electrons; these are white, shape (..., 2, n, n // 2 + 1)."""
+        """Images of both textures, electrons: shape (..., k, 2, n, n).
+
+        ``textures``: white ones, shape (..., k, 2, n, n // 2 + 1).
+        """
         window, spectra = self.window, self.window.amplitude * textures
         surface, seen = spectra[..., :1, :, :], window.pictures(spectra) * self._shares
         light = window.spectra(seen)
@@ -256,11 +311,11 @@ class _Scene:
 
     @cached_property
     def _shares(self) -> NDArray[np.float32]:
-        """Shares of both textures that are seen, shape (2, n, n)."""
-        return np.stack([self.seen, self.cover])
+        """Shares of both textures that are seen, shape (k, 2, n, n)."""
+        return np.concatenate([self.seen, self.cover], axis=1)
 
     def slopes(self, unknowns: _Unknowns, textures: _Spectra, mean: bool, first: int) -> NDArray[np.float32]:
-        """Derivatives of the images by each unknown from the ``first`` one on: shape (n_free, ..., 2, n, n).
+        """Derivatives of the images by each unknown from the ``first`` one on: shape (n_free, ..., k, 2, n, n).
 
         ``mean``: of all light, or of the textures alone.
         """
@@ -272,13 +327,13 @@ class _Scene:
         for image in range(2):
             slopes[7 + image, ..., image, :, :] = part[..., image, :, :]
             if mean:
-                slopes[5 + image, image], object_mean = self.means[:, image]
-                slopes[7 + image, image] += object_mean
-        own = _Depth.of(window, unknowns[0])
+                slopes[5 + image, :, image] = self.means[:, 0, image]
+                slopes[7 + image, :, image] += self.means[:, 1, image]
+        own = _Depth.of(window, unknowns[:, 0])
         for number in range(first, _LEVELS_AT):
             other = unknowns.copy()
-            other[number] += _DIFFERENCES[number]
-            moved = _Scene.of(window, _Depth.of(window, other[0]) if number == 0 else own, other)
+            other[:, number] += _DIFFERENCES[number]
+            moved = _Scene.of(window, _Depth.of(window, other[:, 0]) if number == 0 else own, other)
             change = moved.textured(textures) - here
             slopes[number] = (change + (moved.mean - self.mean) if mean else change) / np.float32(_DIFFERENCES[number])
         return slopes[first:]
@@ -291,18 +346,19 @@ class _Linear:
     scene: _Scene
     textures: _Spectra
     first: int  # first unknown that changes
-    slopes: NDArray[np.float32]  # (n_free, 2 * n * n), weighted images of a change by one
-    left: NDArray[np.float32]  # (2, n, n), weighted images less the model's
-    power: NDArray[np.float32]  # (2, n, n // 2 + 1), information about the textures, for preconditioning
+    slopes: NDArray[np.float32]  # (k, n_free, 2 * n * n), weighted images of a change by one
+    left: NDArray[np.float32]  # (k, 2, n, n), weighted images less the model's
+    power: NDArray[np.float32]  # (k, 2, n, n // 2 + 1), information about the textures, for preconditioning
 
     @classmethod
     def of(cls, window: _Window, unknowns: _Unknowns, textures: _Spectra, first: int) -> _Linear:
-        scene = _Scene.of(window, _Depth.of(window, unknowns[0]), unknowns)
+        scene = _Scene.of(window, _Depth.of(window, unknowns[:, 0]), unknowns)
         slopes = scene.slopes(unknowns, textures, True, first) * window.weight
-        power = np.stack([(np.abs(one) ** 2).sum(axis=0) for one in (window.surface, scene.object)])
-        power *= window.amplitude**2 * np.square(window.weight).mean()
+        power = np.stack([(np.abs(one) ** 2).sum(axis=1) for one in (window.surface, scene.object)], axis=1)
+        power *= window.amplitude**2 * np.square(window.weight).mean(axis=(1, 2, 3), keepdims=True)
         left = window.weight * (window.images - scene.mean - scene.textured(textures))
-        return cls(scene, textures, first, slopes.reshape(-1, window.images.size), left, power)
+        flat = np.ascontiguousarray(slopes.swapaxes(0, 1)).reshape(len(left), -1, left[0].size)
+        return cls(scene, textures, first, flat, left, power)
 
     def solved(self, of_textures: _Unknowns, steps: int) -> tuple[_Unknowns, _Spectra]:
         """Changes of the unknowns, 0 for fixed ones, and of the textures.
@@ -310,68 +366,86 @@ class _Linear:
         ``of_textures``: slopes of half the logarithm of the determinant of the textures' information.
         """
         gradient = self.scene.adjoint(self.scene.window.weight * self.left) - self.textures
-        change = np.zeros(9)
-        of_free = self.slopes @ self.left.ravel() - of_textures[self.first :]
-        textures, change[self.first :] = self._solution(gradient, of_free, steps)
+        change = np.zeros(of_textures.shape)
+        of_free = _times(_flat(self.left), self.slopes.swapaxes(1, 2)) - of_textures[:, self.first :]
+        textures, change[:, self.first :] = self._solution(gradient, of_free, steps)
         return change, textures
 
     def drawn(self, count: int) -> _Spectra:
-        """Textures drawn from their posterior about its mean, with all unknowns fixed: shape (count, 2, ...)."""
+        """Textures drawn from their posterior about its mean, with all unknowns fixed: shape (count, k, 2, ...)."""
         window, random = self.scene.window, np.random.default_rng(0)
-        both = random.standard_normal((count, 2, *window.images.shape)).astype(np.float32)
+        # One draw for all windows: an object's fit does not depend on those that are computed with it.
+        both = random.standard_normal((count, 2, 1, *window.images.shape[1:])).astype(np.float32)
         noise, white = both.swapaxes(0, 1)
         right = self.scene.adjoint(window.weight * noise) + window.spectra(white)
-        return self._solution(right, np.zeros((count, 0)), _STEPS)[0]
+        return self._solution(right, np.zeros((*right.shape[:2], 0)), _STEPS)[0]
 
-    def depth_error(self) -> float:
-        """Standard error of the logarithm of vergence, the first unknown, with all others unknown too."""
-        first = np.zeros(len(self.slopes))
-        first[0] = 1.0
+    def depth_errors(self) -> FloatArray:
+        """Standard error of the logarithm of vergence, the first unknown, with all others unknown too: shape (k,)."""
+        first = np.zeros(self.slopes.shape[:2])
+        first[:, 0] = 1.0
         _, column = self._solution(np.zeros_like(self.textures), first, _STEPS)
-        variance = float(column[0])
-        return math.sqrt(variance) if variance > 0.0 else math.inf
+        variance = column[:, 0]
+        return np.where(variance > 0.0, np.sqrt(np.abs(variance)), np.inf)
 
     def _solution(self, right: _Spectra, right_free: FloatArray, steps: int) -> tuple[_Spectra, FloatArray]:
         """Product of the inverse information matrix and the right sides, by preconditioned conjugate gradients.
 
-        Leading axes of the right sides are those of as many systems.
+        Right sides have shapes (..., k, 2, n, n // 2 + 1) and (..., k, n_free); leading axes are those of as many
+        systems.
         """
-        weight, slopes = self.scene.window.weight, self.slopes[: right_free.shape[-1]]
-        prior = 1.0 / _PRIOR[self.first :][: len(slopes)] ** 2
-        inverse = np.linalg.inv(slopes @ slopes.T + np.diag(prior))
+        weight, slopes = self.scene.window.weight, self.slopes[:, : right_free.shape[-1]]
+        back = slopes.swapaxes(1, 2)
+        prior = 1.0 / _PRIOR[self.first :][: slopes.shape[1]] ** 2
+        inverse = np.linalg.inv(slopes @ back + np.diag(prior))
         through = (1.0 / (1.0 + self.power)).astype(np.float32)
         textures, free = np.zeros_like(right), np.zeros(right_free.shape)
-        ahead, ahead_free = through * right, right_free @ inverse
+        ahead, ahead_free = through * right, _times(right_free, inverse)
         norm = _product(right, ahead) + (right_free * ahead_free).sum(axis=-1)
         for _ in range(steps):
             images = self.scene.textured(ahead)
             images *= weight
-            images += (ahead_free.astype(np.float32) @ slopes).reshape(images.shape)
+            images += _times(ahead_free.astype(np.float32), slopes).reshape(images.shape)
             along = self.scene.adjoint(weight * images)
             along += ahead
-            along_free = images.reshape(*images.shape[:-3], -1) @ slopes.T + prior * ahead_free
-            length = norm / (_product(ahead, along) + (ahead_free * along_free).sum(axis=-1))
-            wide = length[..., None, None, None].astype(np.float32)
-            textures, free = textures + wide * ahead, free + length[..., None] * ahead_free
-            right, right_free = right - wide * along, right_free - length[..., None] * along_free
-            next_, next_free = through * right, right_free @ inverse
+            along_free = _times(_flat(images), back) + prior * ahead_free
+            # A system that has converged stays, while others go on.
+            length = norm / np.maximum(_product(ahead, along) + (ahead_free * along_free).sum(axis=-1), _LEAST)
+            textures, free = textures + _wide(length) * ahead, free + length[..., None] * ahead_free
+            right, right_free = right - _wide(length) * along, right_free - length[..., None] * along_free
+            next_, next_free = through * right, _times(right_free, inverse)
             before, norm = norm, _product(right, next_) + (right_free * next_free).sum(axis=-1)
             if (norm < _CONVERGED).all():
                 break
-            ratio = norm / before
-            ahead = next_ + ratio[..., None, None, None].astype(np.float32) * ahead
+            ratio = norm / np.maximum(before, _LEAST)
+            ahead = next_ + _wide(ratio) * ahead
             ahead_free = next_free + ratio[..., None] * ahead_free
         return textures, free
 
 
 def _determinant_slopes(window: _Window, unknowns: _Unknowns) -> _Unknowns:
     """Slopes of half the logarithm of the determinant of the textures' information, from draws of the textures."""
-    none = np.zeros((2, window.side, window.side // 2 + 1), dtype=np.complex64)
-    linear = _Linear.of(window, unknowns, none, len(unknowns))
+    none = np.zeros((len(unknowns), 2, window.side, window.side // 2 + 1), dtype=np.complex64)
+    linear = _Linear.of(window, unknowns, none, unknowns.shape[1])
     draws = linear.drawn(_DRAWS)
     at = np.square(window.weight) * linear.scene.textured(draws)
     slopes = linear.scene.slopes(unknowns, draws, False, 0)
-    return np.asarray((slopes * at).sum(axis=(1, 2, 3, 4), dtype=np.float64) / _DRAWS)
+    return np.asarray((slopes * at).sum(axis=(1, 3, 4, 5), dtype=np.float64).T / _DRAWS)
+
+
+def _times(rows: NDArray[Any], matrices: NDArray[Any]) -> NDArray[Any]:
+    """Products of rows, shape (..., k, n), and matrices, shape (k, n, m): shape (..., k, m)."""
+    return np.asarray((rows[..., None, :] @ matrices)[..., 0, :])
+
+
+def _flat(images: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Images of shape (..., 2, n, n) as rows of shape (..., 2 * n * n)."""
+    return images.reshape(*images.shape[:-3], -1)
+
+
+def _wide(factors: FloatArray) -> NDArray[np.float32]:
+    """Factors of transforms of shape (..., 2, n, n // 2 + 1)."""
+    return factors[..., None, None, None].astype(np.float32)
 
 
 def _product(one: _Spectra, other: _Spectra) -> FloatArray:

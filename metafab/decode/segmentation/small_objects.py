@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR
 from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.null_channel import WINDOW, NullChannel, Rectangle, RectangleEvidence
-from metafab.decode.segmentation.object_fit import fitted_object
+from metafab.decode.segmentation.object_fit import FittedObject, ObjectStart, fitted_objects
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Largest side of a blob that is searched, downsampled pixels: larger objects have segments.
@@ -63,6 +63,8 @@ _LEFT = 3.0
 _COARSE_EVIDENCE, _COARSE_LEFT = 0.5, (2.0, 1.5)
 #: Relative difference of depths of one surface, and rounds in which a rectangle's light settles.
 _ONE_SURFACE, _LIGHT_ROUNDS = 0.02, 3
+#: Origin of the rectangles of fits in the null channel's window.
+_ORIGIN = np.array([WINDOW // 2, WINDOW // 2, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ def small_objects(
 
     plain_light = ~foreign & ~prepared.spoiled
 
-    def searched(blob: tuple[float, tuple[slice, slice], NDArray[np.bool_]]) -> SmallObject | None:
+    def searched(blob: tuple[float, tuple[slice, slice], NDArray[np.bool_]]) -> _Search | None:
         _, at, own = blob
         weight = np.where(own, misfit[at], np.float32(0.0)).astype(np.float64)
         surface_per_m = float(np.median(vergence_per_m[at][own]))
@@ -119,75 +121,98 @@ def small_objects(
         if not of_surface.any():
             return None
         level_e = prepared.inner[:, of_surface].mean(axis=1, dtype=np.float64)
-        return _search(prepared, optics, (surface_per_m, level_e), at, weight)
+        return _Search.of(prepared, optics, (surface_per_m, level_e), at, weight)
 
     with kept_threads() as pool:
-        found = list(pool.map(searched, sorted(blobs, key=lambda one: -one[0])[:_MOST_BLOBS]))
+        begun = pool.map(searched, sorted(blobs, key=lambda one: -one[0])[:_MOST_BLOBS])
+        searches = [one for one in begun if one is not None]
+        fitted = fitted_objects(prepared, optics, [one.start for one in searches])
+        found = list(pool.map(_Search.found, searches, fitted))
     return [one for one in found if one is not None]
 
 
-def _search(
-    prepared: PreparedFrame,
-    optics: LayerOptics,
-    surface: tuple[float, FloatArray],
-    at: tuple[slice, slice],
-    weight: FloatArray,
-) -> SmallObject | None:
-    """The object in a blob; None if nothing fits.
+@dataclass(frozen=True)
+class _Search:
+    """A blob whose light a rectangle explains in coarse steps."""
 
-    ``surface`` is 1/depth and mean light in both images, shape (2,); ``weight``, shape (n_y, n_x), is the blob's
-    misfit, 0 outside.
-    """
-    surface_per_m, level_e = surface
-    total = weight.sum()
-    row, column = (float((weight.sum(axis=1 - axis) * np.arange(weight.shape[axis])).sum() / total) for axis in (0, 1))
-    middle = round(at[0].start + row), round(at[1].start + column)
-    channel = NullChannel.of(prepared, optics, middle, surface_per_m)
-    if channel is None or not (level_e > 0.0).all():
-        return None
-    # Rectangles are in the channel's window, whose middle is that of the blob.
-    first = np.array([at[0].start - middle[0], at[1].start - middle[1]]) + WINDOW // 2
-    limits = np.array([first - 0.5, first + weight.shape - np.array(0.5)])
-    half = np.maximum(1.5, 0.5 * math.sqrt(np.count_nonzero(weight)) - _HALO)
-    start = np.array([first[0] + row, first[1] + column, half, half])
-    largest = _RANGE_SHARE * float(1.0 / optics.calibration.kernels.psf.depth_m.min())
-    nearest = _NEAREST_RATIO * surface_per_m
-    if largest <= nearest:
-        return None
-    own, inside = weight > 0.0, tuple(slice(int(f), int(f) + n) for f, n in zip(first, weight.shape, strict=True))
+    at: tuple[slice, slice]  # rows and columns of the blob
+    own: NDArray[np.bool_]  # shape (n_y, n_x) of the blob, its pixels
+    inside: tuple[slice, ...]  # the blob in the window of the null channel
+    ascent: _Ascent
+    start: ObjectStart
 
-    def left(vergence_per_m: float, rectangle: Rectangle, light: FloatArray) -> NDArray[np.float32]:
-        return evidence_of.left(vergence_per_m, rectangle, light)[inside]
+    @classmethod
+    def of(
+        cls,
+        prepared: PreparedFrame,
+        optics: LayerOptics,
+        surface: tuple[float, FloatArray],
+        at: tuple[slice, slice],
+        weight: FloatArray,
+    ) -> _Search | None:
+        """Search a blob in coarse steps; None if nothing fits.
 
-    evidence_of = RectangleEvidence(channel)
-    ascent = _Ascent(evidence_of, limits, np.linspace(nearest, largest, _CANDIDATES), surface_per_m)
-    even, (evidence, vergence, rectangle) = np.ones(2), ascent.begun(start)
-    most, most_at_best = (_LEFT * one for one in _COARSE_LEFT)
-    if evidence < _COARSE_EVIDENCE * _LEAST_EVIDENCE or left(vergence, rectangle, even)[own].mean() > most:
-        return None
-    vergence, rectangle = ascent.over_depths(rectangle)
-    if left(vergence, rectangle, even)[own].mean() > most_at_best:
-        return None
-    origin = np.array([WINDOW // 2, WINDOW // 2, 0.0, 0.0])
-    # From the middle of the depths: the best one in the null channel may lie 45 % off, at their near end.
-    begun = float(ascent.candidates[_CANDIDATES // 2]), rectangle - origin
-    fitted = fitted_object(prepared, optics, middle, max(weight.shape), (surface_per_m, level_e), begun)
-    if fitted is None or not fitted.relative_error < LARGEST_ERROR or fitted.vergence_per_m > largest:
-        return None
-    vergence, rectangle, light = fitted.vergence_per_m, fitted.rectangle + origin, even
-    if not ascent.is_allowed(rectangle):
-        return None
-    for _ in range(_LIGHT_ROUNDS):
-        light = evidence_of.light(vergence, rectangle, light)
-    evidence = evidence_of.at(vergence, rectangle, light)
-    if evidence < _LEAST_EVIDENCE:
-        return None
-    beside, _ = ascent.over_sides(surface_per_m, rectangle, light, (1.0,))
-    energy = left(vergence, rectangle, light)
-    mask = evidence_of.cover(rectangle)[inside] > 0.5
-    if evidence - beside < _LEAST_MARGIN or energy[own].mean() > _LEFT or not mask.any():
-        return None
-    return SmallObject(vergence, fitted.relative_error, evidence, mask, energy, at)
+        ``surface`` is 1/depth and mean light in both images, shape (2,); ``weight``, shape (n_y, n_x), is the blob's
+        misfit, 0 outside.
+        """
+        surface_per_m, level_e = surface
+        total, size = weight.sum(), weight.shape
+        row, column = (float((weight.sum(axis=1 - axis) * np.arange(size[axis])).sum() / total) for axis in (0, 1))
+        middle = round(at[0].start + row), round(at[1].start + column)
+        channel = NullChannel.of(prepared, optics, middle, surface_per_m)
+        if channel is None or not (level_e > 0.0).all():
+            return None
+        # Rectangles are in the channel's window, whose middle is that of the blob.
+        first = np.array([at[0].start - middle[0], at[1].start - middle[1]]) + WINDOW // 2
+        limits = np.array([first - 0.5, first + size - np.array(0.5)])
+        half = np.maximum(1.5, 0.5 * math.sqrt(np.count_nonzero(weight)) - _HALO)
+        start = np.array([first[0] + row, first[1] + column, half, half])
+        nearest = _NEAREST_RATIO * surface_per_m
+        largest = _RANGE_SHARE * float(1.0 / optics.calibration.kernels.psf.depth_m.min())
+        if largest <= nearest:
+            return None
+        inside = tuple(slice(int(f), int(f) + n) for f, n in zip(first, size, strict=True))
+        ascent = _Ascent(RectangleEvidence(channel), limits, np.linspace(nearest, largest, _CANDIDATES), surface_per_m)
+        even, (evidence, vergence, rectangle) = np.ones(2), ascent.begun(start)
+        # From the middle of the depths: the best one in the null channel may lie 45 % off, at their near end.
+        begun = float(ascent.candidates[_CANDIDATES // 2])
+        fit = ObjectStart(middle, max(size), surface_per_m, level_e, begun, rectangle - _ORIGIN)
+        search = cls(at, weight > 0.0, inside, ascent, fit)
+        most, most_at_best = (_LEFT * one for one in _COARSE_LEFT)
+        if evidence < _COARSE_EVIDENCE * _LEAST_EVIDENCE or search._left(vergence, rectangle, even) > most:
+            return None
+        vergence, rectangle = ascent.over_depths(rectangle)
+        if search._left(vergence, rectangle, even) > most_at_best:
+            return None
+        return replace(search, start=replace(fit, rectangle=rectangle - _ORIGIN))
+
+    def found(self, fitted: FittedObject | None) -> SmallObject | None:
+        """The object, if the fitted one explains the blob's light."""
+        ascent, evidence_of, largest = self.ascent, self.ascent.evidence, float(self.ascent.candidates[-1])
+        if fitted is None or not fitted.relative_error < LARGEST_ERROR or fitted.vergence_per_m > largest:
+            return None
+        vergence, rectangle, light = fitted.vergence_per_m, fitted.rectangle + _ORIGIN, np.ones(2)
+        if not ascent.is_allowed(rectangle):
+            return None
+        for _ in range(_LIGHT_ROUNDS):
+            light = evidence_of.light(vergence, rectangle, light)
+        evidence = evidence_of.at(vergence, rectangle, light)
+        if evidence < _LEAST_EVIDENCE:
+            return None
+        beside, _ = ascent.over_sides(ascent.surface_per_m, rectangle, light, (1.0,))
+        energy = self._energy(vergence, rectangle, light)
+        mask = evidence_of.cover(rectangle)[self.inside] > 0.5
+        if evidence - beside < _LEAST_MARGIN or energy[self.own].mean() > _LEFT or not mask.any():
+            return None
+        return SmallObject(vergence, fitted.relative_error, evidence, mask, energy, self.at)
+
+    def _energy(self, vergence_per_m: float, rectangle: Rectangle, light: FloatArray) -> NDArray[np.float32]:
+        """Energy over that of noise that a rectangle leaves, shape (n_y, n_x) of the blob."""
+        return self.ascent.evidence.left(vergence_per_m, rectangle, light)[self.inside]
+
+    def _left(self, vergence_per_m: float, rectangle: Rectangle, light: FloatArray) -> float:
+        """Its mean over the blob."""
+        return float(self._energy(vergence_per_m, rectangle, light)[self.own].mean())
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import pytest
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
 from metafab.decode.segmentation import object_fit
-from metafab.decode.segmentation.object_fit import FittedObject, fitted_object
+from metafab.decode.segmentation.object_fit import FittedObject, ObjectStart, fitted_objects
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 
@@ -34,9 +34,9 @@ def fitted(seed: int, contrast: float, start_ratio: float) -> tuple[FittedObject
     away = np.hypot(grid.tangent_x[inside, inside], grid.tangent_y[inside, inside])
     row, column = (int(place) // step for place in np.unravel_index(away.argmin(), away.shape))
     half = 0.5 * SIDE * psf.sensor_distance_um / psf.pixel_um / step
-    start = start_ratio / OBJECT_M, np.array([0.5, -0.5, half + 0.5, half - 0.3])
-    even = np.ones(2)
-    return fitted_object(prepared, decoder.layer_optics, (row, column), 20, (1.0 / WALL_M, even), start), half
+    rectangle = np.array([0.5, -0.5, half + 0.5, half - 0.3])
+    start = ObjectStart((row, column), 20, 1.0 / WALL_M, np.ones(2), start_ratio / OBJECT_M, rectangle)
+    return fitted_objects(prepared, decoder.layer_optics, [start])[0], half
 
 
 @pytest.mark.parametrize("contrast", [0.5, 2.0])

@@ -27,13 +27,14 @@ def test_slopes_of_the_determinant_are_those_of_the_dense_matrix(monkeypatch: py
     for name, value in (("_SIDE", 8), ("_RIM", 1), ("_ROOM", 2), ("_DRAWS", 40)):
         monkeypatch.setattr(object_fit, name, value)
     middle = prepared.downsampling.shape[0] // 2, prepared.downsampling.shape[1] // 2
-    window = object_fit._Window.of(prepared, decoder.layer_optics, middle, 4, 1.0 / 0.0034, np.ones(2))
+    start = object_fit.ObjectStart(middle, 4, 1.0 / 0.0034, np.ones(2), 1.0 / 0.0029, np.array([0.0, 0.0, 3.0, 3.0]))
+    window = object_fit._Window.of(prepared, decoder.layer_optics, [start])
     n = window.side
-    unknowns = np.array([-math.log(0.0029), n / 2, n / 2, 3.0, 3.0, 1.0, 1.0, 1.0, 1.0])
+    unknowns = np.array([[-math.log(0.0029), n / 2, n / 2, 3.0, 3.0, 1.0, 1.0, 1.0, 1.0]])
 
     def half_determinant(log_vergence: float) -> float:
-        scene = object_fit._Scene.of(window, object_fit._Depth.of(window, log_vergence), unknowns)
-        points = np.zeros((2 * n * n, 2, n, n), dtype=np.float32)
+        scene = object_fit._Scene.of(window, object_fit._Depth.of(window, np.array([log_vergence])), unknowns)
+        points = np.zeros((2 * n * n, 1, 2, n, n), dtype=np.float32)
         points.reshape(2 * n * n, -1)[np.arange(2 * n * n), np.arange(2 * n * n)] = 1.0
         images = window.weight * scene.textured(window.spectra(points))
         flat = images.reshape(len(images), -1).astype(np.float64)
@@ -41,6 +42,10 @@ def test_slopes_of_the_determinant_are_those_of_the_dense_matrix(monkeypatch: py
 
     step = 0.01
     # Measured: 52.2, and 54.2 by a hundred draws.
-    dense = (half_determinant(unknowns[0] + step) - half_determinant(unknowns[0] - step)) / (2.0 * step)
-    drawn = object_fit._determinant_slopes(window, unknowns)[0]
+    dense = (half_determinant(unknowns[0, 0] + step) - half_determinant(unknowns[0, 0] - step)) / (2.0 * step)
+    drawn = object_fit._determinant_slopes(window, unknowns)[0, 0]
     assert drawn == pytest.approx(dense, rel=0.15)
+    # A fit does not depend on those that are computed with it.
+    beside = replace(start, middle=(middle[0] + 1, middle[1]))
+    both = object_fit._Window.of(prepared, decoder.layer_optics, [beside, start])
+    assert object_fit._determinant_slopes(both, np.vstack([unknowns, unknowns]))[1, 0] == pytest.approx(drawn, rel=1e-3)
