@@ -92,19 +92,14 @@ class LineStatistics:
     error_fitted: float = math.nan  #: Rms error on the rows of the fit.
     solver_error: float = math.nan  #: Rms error of the solved rows, from a sample solved more finely.
     error_floor: float = math.nan  #: Smallest stated error of a row.
-    #: Stated error, on top of the floor, per power of the relative correction times the relative step of t from site to
-    #: site.
+    #: Stated error, on top of the floor, over the powers below of what is known of a row
+    #: (:class:`metafab.library.neighbours.doubt.RowDoubts`).
     error_slope: float = math.nan
-    error_power: float = 1.0  #: That power.
-
-    def stated_error(self, correction: float, step: float) -> float:
-        """Stated relative error of a row.
-
-        Args:
-            correction: rms correction of its field over its rms field.
-            step: rms step of t from site to site over rms t.
-        """
-        return self.error_floor + self.error_slope * math.pow(correction * step, self.error_power)
+    error_power: float = 1.0  #: Power of the correction times the step, in files of older trainings; else 0.
+    error_power_correction: float = 0.0  #: Power of the correction.
+    error_power_bend: float = 0.0  #: Power of the bend.
+    error_power_gain: float = 0.0  #: Power of the gain.
+    error_power_resonance: float = 0.0  #: Power of the resonance.
 
 
 @dataclass(frozen=True, kw_only=True)

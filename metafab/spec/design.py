@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import FloatArray
@@ -86,6 +86,13 @@ class Device(Checked):
         return within
 
 
+def _no_number(value: object) -> object:
+    """Refuse 0 and 1, which are equal to false and true."""
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        raise ValueError(f'must be false, true or "table", got {value}')
+    return value
+
+
 @dataclass(frozen=True, config=CONFIG)
 class Rules(Checked):
     """Design rules of the process."""
@@ -101,7 +108,7 @@ class Rules(Checked):
     cd_sigma_nm: NonNegative = 0.0
     #: Choose sizes for the light that pillars have among their neighbours, by the library's model of them: one by one,
     #: or, with "table", by one look-up that is made from a sample of the mask.
-    neighbours: Literal[False, True, "table"] = False
+    neighbours: Annotated[Literal[False, True, "table"], BeforeValidator(_no_number)] = False
     #: Use only sizes that respond equally to both polarisations by symmetry: equal width and length, or crosses, in a
     #: square cell.
     polarisation_independent: Flag = False

@@ -4,6 +4,7 @@
 - ``solve``       field of closed chains, and its derivatives by the parameters
 - ``fit``         least-squares fit of a chain to solved rows
 - ``rows``        training rows, and their solution
+- ``doubt``       stated error of a row, from what is known of it without a solver
 - ``training``    :func:`train`: a library in, its :class:`Neighbours` out
 - ``model``       :class:`Neighbours`: the chains of all directions and polarisations, with their errors
 - ``open_lines``  field along open chains, and its derivatives by the sizes

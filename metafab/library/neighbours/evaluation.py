@@ -15,7 +15,8 @@ import numpy as np
 from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
 from metafab.core.errors import InputError
-from metafab.library.neighbours.model import Neighbours
+from metafab.library.neighbours.doubt import RowDoubts
+from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.library.neighbours.solve import line_corrections
 
 if TYPE_CHECKING:
@@ -57,17 +58,27 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
         transmitted = float(np.sum(supercell.relative_power(order, both, light)))
         t[:, axis, axis] = amplitude / np.sqrt(max(1.0, transmitted))
         norm = float(np.linalg.norm(local))
-        relative = [float(np.linalg.norm(correction)) / norm for correction in corrections]
         steps = [float(np.linalg.norm(local - np.roll(local, 1, axis))) / norm for axis in (1, 0)]
         error = float(np.max(known.error)) + max(0.0, 1.0 - 1.0 / np.sqrt(max(1.0, transmitted)))
-        for direction, (correction, step) in enumerate(zip(relative, steps, strict=True)):
+        for direction in (0, 1):
             if supercell.shape[1 - direction] > 1:
-                error += neighbours.line(direction, light).statistics.stated_error(correction, step)
+                error += _stated_error(neighbours.line(direction, light), direction, size_nm, local, corrections)
         if min(supercell.shape) > 1:
             error += _BLOCK_SHARE * steps[0] * steps[1]
         weight = float(np.sum(np.abs(amplitude) ** 2))
         squared, power = squared + error**2 * weight, power + weight
     return SupercellOrders(supercell, order, t, float(np.sqrt(squared / power)), time.perf_counter() - start)
+
+
+def _stated_error(
+    line: TrainedLine, direction: int, size_nm: FloatArray, local: ComplexArray, corrections: ComplexArray
+) -> float:
+    """Stated error of the rows along x (``direction`` 0) or y (1) of a block, relative rms over all of them."""
+    correction = corrections[direction]
+    if direction == 1:
+        size_nm, local, correction = size_nm.transpose(1, 0, 2)[..., ::-1], local.T, correction.T
+    errors = RowDoubts.of(line.model, size_nm, local, correction).stated_errors(line.statistics)
+    return float(np.linalg.norm(errors * np.linalg.norm(local, axis=1)) / np.linalg.norm(local))
 
 
 def require_neighbours(library: Library) -> Neighbours:

@@ -13,6 +13,9 @@ import numpy as np
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.library.neighbours.line import IntArray, LineModel
 
+#: Steps of power iteration that find the norm of an inverse, from the amplitudes themselves.
+_POWER_STEPS = 20
+
 
 def uniform_field(model: LineModel, terms: FloatArray) -> ComplexArray:
     """y(s) of lines of equal pillars, shape (..., terms) to (...)."""
@@ -72,16 +75,9 @@ def corrections_and_jacobian(
     a = _unfolded(inverse @ source, model, terms)
     flow = terms[..., :, None] * a[..., None, :]
     by_own, by_side = flow[:, :half, :, :even], flow[:, before] + flow[:, after] * parity
-    site = np.arange(half)
     fields, jacobians = [], []
     for face in faces:
-        own, of_side = _faces(model)[face]
-        taps = np.zeros((lines, half, terms.shape[1], modes), dtype=np.complex128)
-        taps[:, site, site, :even] += terms[:, :half] @ own
-        side = terms @ of_side
-        for m in range(half):
-            taps[:, m, before[m]] += side[:, before[m]]
-            taps[:, m, after[m]] += side[:, after[m]] * parity
+        taps = _line_taps(model, terms, face, half)
         outputs = _folded(taps, half, parity).reshape(lines, half, -1)
         fields.append(np.asarray(taps.reshape(lines, half, -1) @ a.reshape(lines, -1, 1))[..., 0])
         adjoint = (outputs @ inverse).reshape(lines, half, half, modes)
@@ -93,6 +89,38 @@ def corrections_and_jacobian(
         jacobians.append(_gathered(face, ends, by_own, by_side, by_source.swapaxes(-1, -2)))
     uniform, d_uniform = _uniform_jacobian(model, terms[:, :half], faces)
     return np.stack(fields) - uniform, np.stack(jacobians) - d_uniform
+
+
+def line_gains(model: LineModel, terms: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How strongly closed lines answer to errors of their matrix, from its inverse A^-1.
+
+    ``terms``: shape (lines, sites, terms). Returns the rms change of the transmitted field, summed in squares over the
+    sites, by independent unit errors of all elements of H, and the spectral norm of A^-1 by power iteration, shape
+    (lines,) each.
+    """
+    lines, sites, _ = terms.shape
+    matrix, source = _half_line(model, terms, sites)
+    inverse = np.linalg.inv(matrix)
+    a = (inverse @ source).reshape(lines, sites, -1)
+    adjoint = (_line_taps(model, terms, 1, sites).reshape(lines, sites, -1) @ inverse).reshape(lines, sites, sites, -1)
+    squared = np.einsum("lknr,lns->l", np.abs(adjoint) ** 2, np.abs(a) ** 2, optimize=True)
+    strongest, adjoint_inverse = np.asarray(inverse @ source), inverse.conj().swapaxes(1, 2)
+    for _ in range(_POWER_STEPS):
+        strongest = adjoint_inverse @ (inverse @ (strongest / np.linalg.norm(strongest, axis=1, keepdims=True)))
+    return np.sqrt(squared), np.asarray(np.sqrt(np.linalg.norm(strongest, axis=(1, 2))))
+
+
+def _line_taps(model: LineModel, terms: FloatArray, face: int, half: int) -> ComplexArray:
+    """Rows q_m of the first ``half`` outputs of one face, shape (lines, half, sites, modes)."""
+    own, of_side = _faces(model)[face]
+    before, after = _next_sites(terms, half < terms.shape[1])
+    site, side = np.arange(half), terms @ of_side
+    taps = np.zeros((len(terms), half, terms.shape[1], model.shape.modes), dtype=np.complex128)
+    taps[:, site, site, : model.shape.even] += terms[:, :half] @ own
+    for m in range(half):
+        taps[:, m, before[m]] += side[:, before[m]]
+        taps[:, m, after[m]] += side[:, after[m]] * model.shape.parity
+    return taps
 
 
 def _next_sites(terms: FloatArray, mirrored: bool) -> tuple[IntArray, IntArray]:

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import t as student_t
 from threadpoolctl import threadpool_limits
 
 from metafab.cell import is_square, pillar_cell
@@ -22,6 +21,7 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import fingerprint
 from metafab.core.storage.provenance import sources_sha256
 from metafab.library.library import Library, inputs_of
+from metafab.library.neighbours.doubt import RowDoubts, error_law
 from metafab.library.neighbours.fit import FitLimits, RowSet, fit, loss
 from metafab.library.neighbours.line import LineModel, LineShape, grown, initial_model
 from metafab.library.neighbours.model import Neighbours, TrainedLine
@@ -60,12 +60,6 @@ STARTS = 4
 _ONE_ROW_IN = (4, 2, 1)
 #: Steps of a stage, and of the fit to its end.
 _STAGE_STEPS, _LAST_STEPS = 25, 120
-#: Smallest and largest power of a row's relative correction times its relative step of t with which errors are said to
-#: grow. Fits to hundreds of rows: 0.55 to 0.65.
-_LEAST_POWER, _LARGEST_POWER = 0.5, 1.0
-#: Chance of an error above the stated one, if ratios of the two are log-normal. Their tails are longer: measured on
-#: rows with steady phases 0.001 to 0.007 with 10 and 18 rows held out, 0 to 0.003 with 160.
-_UNSTATED = 1e-4
 #: Rows solved again at a resolution higher by so much, to measure the error of the rows themselves.
 _CHECKED_ROWS, _FINER = 3, 1.0
 
@@ -264,7 +258,7 @@ def _measured(plan: _Plan, model: LineModel) -> LineStatistics:
     unlike = _row_sets(sampler, answers, [number for number in held if not is_steady(number)])
     errors_alike, errors_unlike = ([rows.errors(model) for rows in sets] for sets in (alike, unlike))
     errors = np.concatenate([*errors_alike, *errors_unlike])
-    doubts = np.concatenate([_doubts(rows, model) for rows in (*alike, *unlike)])
+    law = error_law(_doubts((*alike, *unlike), model), errors)
     checked = []
     for number in held[:_CHECKED_ROWS]:
         fine, coarse = (
@@ -273,7 +267,6 @@ def _measured(plan: _Plan, model: LineModel) -> LineStatistics:
         )
         checked.append(np.linalg.norm(fine - coarse) / np.linalg.norm(fine))
     solver_error = _rms([np.array(checked)])
-    slope, power = _error_law(doubts, errors)
     return LineStatistics(
         rows=sum(len(rows.size_nm) for rows in fitted),
         held_out=len(held),
@@ -285,32 +278,17 @@ def _measured(plan: _Plan, model: LineModel) -> LineStatistics:
         error_fitted=_rms([rows.errors(model) for rows in fitted]),
         solver_error=solver_error,
         error_floor=solver_error,
-        error_slope=slope,
-        error_power=power,
+        **law,
     )
 
 
-def _doubts(rows: RowSet, model: LineModel) -> FloatArray:
-    """Relative correction of each row times its relative step of t from site to site, rms each, shape (rows,)."""
-    corrections = line_corrections(model, model.polynomials(rows.size_nm))
-    local = rows.local[1]
-    norms = [np.linalg.norm(part, axis=1) for part in (corrections, local - np.roll(local, 1, axis=1))]
-    return np.asarray(norms[0] * norms[1] / np.linalg.norm(local, axis=1) ** 2)
-
-
-def _error_law(doubts: FloatArray, errors: FloatArray) -> tuple[float, float]:
-    """Slope and power of a stated error, slope x doubt^power, that the next row exceeds with the chance `_UNSTATED`.
-
-    The power is that of the least-squares line through the logarithms. The slope is the prediction limit of the
-    log-normal distribution from which the held-out rows are a sample: fewer rows give a larger one. It is not below the
-    largest ratio of them. Rows of equal pillars, without doubt, say nothing.
-    """
-    doubt, error = np.log(doubts[doubts > 0.0]), np.log(errors[doubts > 0.0])
-    power = float(np.clip(np.polyfit(doubt, error, 1)[0], _LEAST_POWER, _LARGEST_POWER))
-    logs = error - power * doubt
-    spread = float(np.std(logs, ddof=2)) * math.sqrt(1.0 + 1.0 / logs.size)
-    limit = float(np.mean(logs)) + float(student_t.isf(_UNSTATED, logs.size - 2)) * spread
-    return math.exp(max(limit, float(np.max(logs)))), power
+def _doubts(sets: Sequence[RowSet], model: LineModel) -> RowDoubts:
+    """Predictors of the errors of all rows of the sets, in turn."""
+    found = []
+    for rows in sets:
+        corrections = line_corrections(model, model.polynomials(rows.size_nm))
+        found.append(vars(RowDoubts.of(model, rows.size_nm, rows.local[1], corrections)))
+    return RowDoubts(**{name: np.concatenate([each[name] for each in found]) for name in found[0]})
 
 
 def _rms(errors: Sequence[FloatArray]) -> float:

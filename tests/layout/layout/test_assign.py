@@ -225,3 +225,6 @@ def test_a_choice_among_neighbours_needs_their_model(
         layout.assign(profile, smooth_library, asked)
     with pytest.raises(ValueError, match='goes with `gap_rule = "each"`'):
         replace(asked.rules, gap_rule="pairs")
+    for number in (0, 1, 1.0):
+        with pytest.raises(ValueError, match='must be false, true or "table"'):
+            replace(asked.rules, neighbours=number)

@@ -14,8 +14,10 @@ from metafab.cell import pillar_cell
 from metafab.cell.elements import scattered_by_row
 from metafab.cell.supercell import Supercell
 from metafab.core.errors import InputError
+from metafab.core.figures import LineStatistics
 from metafab.library.library import Library, inputs_of
 from metafab.library.neighbours import require_neighbours, rows, solve_supercell, training
+from metafab.library.neighbours.doubt import RowDoubts, error_law
 from metafab.library.neighbours.fit import FitLimits, RowSet, fit, loss
 from metafab.library.neighbours.line import LineModel, LineShape
 from metafab.library.store import load, save
@@ -140,16 +142,35 @@ def test_workers_fit_the_same_chains(trained: Library, asked: Library, solved_ro
 
 
 def test_few_held_out_rows_state_enough() -> None:
-    """Errors scatter about a power of the doubt as they do on solved rows, log-normally by 0.5."""
+    """Errors scatter log-normally, by 0.5, about powers of the predictors; half of the rows have a tenth of the bend.
+
+    The median ratio is exp(0.5 t sqrt(1 + 5/n)), t the quantile 1e-3 of Student's distribution: 36 and 5.
+    """
     rng = np.random.default_rng(3)
-    for held_out, most in ((10, 30.0), (160, 9.0)):
-        doubts = np.exp(rng.uniform(-6.0, 0.0, (400, held_out + 100)))
-        errors = 0.3 * doubts**0.6 * np.exp(0.5 * rng.normal(size=doubts.shape))
-        pairs = zip(doubts[:, :held_out], errors[:, :held_out], strict=True)
-        slope, power = np.array([training._error_law(*pair) for pair in pairs]).T[..., None]
-        ratios = slope * doubts[:, held_out:] ** power / errors[:, held_out:]
-        assert np.mean(ratios < 1.0) < 5e-4
+    for held_out, most in ((10, 45.0), (160, 6.0)):
+        shape = (200, held_out + 100)
+        values = np.exp(
+            rng.uniform(
+                [[[-4.0]], [[-2.0]], [[-1.0]], [[1.0]], [[0.0]]],
+                [[[0.0]], [[0.0]], [[1.0]], [[3.0]], [[3.0]]],
+                (5, *shape),
+            )
+        )
+        values[2, :, ::2] *= 0.1
+        errors = 0.03 * values[0] ** 0.3 * values[2] ** 0.5 * values[3] ** 0.4 * np.exp(0.5 * rng.normal(size=shape))
+        ratios = []
+        for one, error in zip(values.swapaxes(0, 1), errors, strict=True):
+            law = error_law(RowDoubts(*one[:, :held_out]), error[:held_out])
+            stated = RowDoubts(*one[:, held_out:]).stated_errors(LineStatistics(error_floor=0.0, **law))
+            ratios.append(stated / error[held_out:])
+        assert np.mean(np.less(ratios, 1.0)) < 3e-3
         assert np.median(ratios) < most
+
+
+def test_older_files_state_a_power_of_correction_times_step() -> None:
+    doubts = RowDoubts(*np.array([[0.1], [0.5], [7.0], [7.0], [7.0]]))
+    stated = doubts.stated_errors(LineStatistics(error_floor=0.01, error_slope=2.0, error_power=0.5))
+    assert stated == pytest.approx(0.01 + 2.0 * 0.05**0.5)
 
 
 def test_supercells_by_the_model(trained: Library) -> None:
