@@ -74,6 +74,10 @@ def error_law(doubts: RowDoubts, errors: FloatArray) -> dict[str, float]:
     limit of the log-normal distribution from which the held-out rows are a sample: fewer rows give a larger one. Rows
     of equal pillars, without correction, say nothing.
 
+    Args:
+        doubts: predictors of the held-out rows.
+        errors: their relative errors, shape (rows,).
+
     Returns:
         Fields of :class:`LineStatistics`.
     """
