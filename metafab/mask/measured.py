@@ -17,7 +17,7 @@ from metafab.core.errors import InputError
 from metafab.core.storage.limits import require_modest_table
 from metafab.layout import PillarMap
 
-COLUMNS = ("x_um", "y_um", "width_nm", "length_nm")
+_SIZES, _DIAMETER = ("width_nm", "length_nm"), "diameter_nm"
 #: Largest median ratio of measured and drawn sizes: beyond it the unit is wrong.
 _LARGEST_RATIO = 5.0
 #: Largest median distance of the places from their pillars along an axis, periods: beyond it, some have the size of the
@@ -37,11 +37,25 @@ class MeasuredTable:
     place_um: FloatArray  #: Shape (n, 2), x and y from the axis of the lens.
     size_nm: FloatArray  #: Shape (n, 2), width and length.
     further: Mapping[str, FloatArray]  #: Other columns by name, shape (n,) each.
+    has_diameters: bool = False  #: Whether the file names diameters; then widths equal lengths.
 
     def part(self, rows: NDArray[np.bool_]) -> MeasuredTable:
         """Return some of the rows: shape (n,), whether a row is kept."""
         further = {name: column[rows] for name, column in self.further.items()}
-        return MeasuredTable(self.path, self.place_um[rows], self.size_nm[rows], further)
+        return MeasuredTable(self.path, self.place_um[rows], self.size_nm[rows], further, self.has_diameters)
+
+    def require_sizes_of(self, shape: str, is_round: bool) -> None:
+        """Refuse diameters of pillars that are not round, and widths of round ones that are not their lengths."""
+        expected = "equal widths and lengths, or `diameter_nm`" if is_round else "`width_nm` and `length_nm`"
+        unequal = np.flatnonzero(self.size_nm[:, 0] != self.size_nm[:, 1])
+        if self.has_diameters and not is_round:
+            got = "`diameter_nm`"
+        elif is_round and unequal.size:
+            width, length = self.size_nm[unequal[0]]
+            got = f"{width:g} x {length:g} nm in row {unequal[0] + 1}"
+        else:
+            return
+        raise InputError.single(str(self.path), "sizes", f"{expected} for the shape {shape!r}", got)
 
     def sites(self, pillars: PillarMap) -> NDArray[np.int64]:
         """Row and column of the pillar at each place, within half a pitch: shape (n, 2).
@@ -114,17 +128,20 @@ class MeasuredTable:
 
 
 def read_measured(path: Path, optional: Sequence[str] = ()) -> MeasuredTable:
-    """Read a .csv file with the columns :data:`COLUMNS` and, where it has them, ``optional`` ones; # begins a comment.
+    """Read a .csv file with places and sizes and, where it has them, ``optional`` columns; # begins a comment.
 
-    InputError for a table that cannot be read, sizes that are not positive, or numbers that are not finite.
+    Places are ``x_um`` and ``y_um``, sizes ``width_nm`` and ``length_nm``, or ``diameter_nm``. InputError for a table
+    that cannot be read, sizes that are not positive, or numbers that are not finite.
     """
-    expected = f"a .csv file with the columns {', '.join(COLUMNS)}"
+    expected = "a .csv file with the columns x_um, y_um, width_nm and length_nm (or diameter_nm)"
     try:
         require_modest_table(path)
         with path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.DictReader(line for line in stream if line.strip() and not line.startswith("#"))
-            table, present = list(reader), [name for name in optional if name in (reader.fieldnames or ())]
-        names = [*COLUMNS, *present]
+            header = reader.fieldnames or ()
+            table, present = list(reader), [name for name in optional if name in header]
+        has_diameters = _DIAMETER in header and not any(name in header for name in _SIZES)
+        names = ["x_um", "y_um", *((_DIAMETER, _DIAMETER) if has_diameters else _SIZES), *present]
         for number, row in enumerate(table, start=1):
             if empty := [name for name in names if name in row and not (row[name] or "").strip()]:
                 got, remedy = f"row {number} without {empty[0]}", "leave out pillars that were not measured"
@@ -138,4 +155,4 @@ def read_measured(path: Path, optional: Sequence[str] = ()) -> MeasuredTable:
         got = f"{len(rows)} rows" if not rows.size else "sizes that are not positive, or numbers that are not finite"
         raise InputError.single(str(path), "rows", "at least one, with finite places and positive sizes", got)
     further = dict(zip(present, rows[:, 4:].T, strict=True))
-    return MeasuredTable(path, rows[:, :2], rows[:, 2:4], further)
+    return MeasuredTable(path, rows[:, :2], rows[:, 2:4], further, has_diameters)

@@ -38,6 +38,9 @@ FieldPoints = Annotated[int, Field(strict=True, ge=1, le=65)]
 #: Smallest design rule over the wavelength; a smaller one is probably in micrometres.
 _LEAST_RULE = 1e-3
 
+#: Largest aperture (um).
+LARGEST_APERTURE_UM = 300_000.0
+
 #: Longest side of a PSF window (pixels).
 MAX_WINDOW_PX = 2048
 
@@ -49,7 +52,9 @@ class Device(Checked):
     Helices are optimised for the full circle or square, whatever the outline.
     """
 
-    aperture_um: Annotated[float, Field(strict=True, gt=0.0, le=300_000.0)]  #: Diameter or side of the aperture.
+    aperture_um: Annotated[
+        float, Field(strict=True, gt=0.0, le=LARGEST_APERTURE_UM)
+    ]  #: Diameter or side of the aperture.
     focal_length_mm: Positive  #: Focal length for collimated light.
     aperture_shape: Literal["circle", "square", "ring", "polygon"] = "circle"  #: Shape of the aperture.
     inner_um: NonNegative = 0.0  #: Diameter of the circle that a ring excludes.

@@ -15,6 +15,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage.files import whole_file
 from metafab.spec.cell import UnitCell
+from metafab.spec.design import LARGEST_APERTURE_UM
 from metafab.spec.keys.reference import near
 from metafab.spec.load import load_unit_cell_of
 
@@ -45,8 +46,10 @@ class NewLens:
         if not 0.0 < self.numerical_aperture < 1.0:
             got = f"{self.numerical_aperture:g}"
             raise InputError.single("new", "--na", "above 0 and below 1 (the lens focuses in air)", got)
-        if not 0.0 < self.aperture_um < math.inf:
-            raise InputError.single("new", "--aperture-um", "a diameter above 0", f"{self.aperture_um:g}")
+        least_um = 1e-3 * max(unit_cell.cell.period_nm)
+        if not least_um <= self.aperture_um <= LARGEST_APERTURE_UM:
+            expected = f"one period, {least_um:g}, to {LARGEST_APERTURE_UM:g}"
+            raise InputError.single("new", "--aperture-um", expected, f"{self.aperture_um:g}", "the unit is um")
         focal_um = 0.5 * self.aperture_um / math.tan(math.asin(self.numerical_aperture))
         spans_nm = unit_cell.sweep.width_nm, unit_cell.sweep.length_nm
         gap_nm = min(period - high for period, (_, high) in zip(unit_cell.cell.period_nm, spans_nm, strict=True))

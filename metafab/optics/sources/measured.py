@@ -24,11 +24,13 @@ _NEAREST = 4
 def with_measured_sizes(pillars: PillarMap, path: Path, library: Library) -> PillarMap:
     """Return the pillars of a mask, upright as drawn, with the sizes of a table.
 
-    The .csv has the columns x_um and y_um, from the axis, and width_nm and length_nm. InputError for a table that
-    cannot be read, a place without a pillar or given twice, or sizes beyond the library; the message states the share
-    of these pillars.
+    The .csv has the columns x_um and y_um, from the axis, and width_nm and length_nm, or diameter_nm of circles and
+    rings. InputError for a table that cannot be read, sizes of another shape, a place without a pillar or given twice,
+    or sizes beyond the library; the message states the share of these pillars.
     """
     table = read_measured(path)
+    cell = library.unit_cell.cell
+    table.require_sizes_of(cell.shape, cell.is_round)
     sites = table.sites(pillars)
     table.require_each_once(sites)
     site = (sites[:, 0], sites[:, 1])

@@ -29,3 +29,17 @@ def test_missing_sizes_and_wrong_units_are_named(row: str, named: str, tmp_path:
     )
     with pytest.raises(InputError, match=named):
         read_measured(table).sites(pillars)
+
+
+def test_diameters_are_sizes_of_round_pillars(tmp_path: Path) -> None:
+    table = tmp_path / "sem.csv"
+    table.write_text("x_um,y_um,diameter_nm\n0.0,0.0,140\n0.35,0.0,150\n", encoding="utf-8")
+    measured = read_measured(table)
+    assert measured.size_nm.tolist() == [[140.0, 140.0], [150.0, 150.0]]
+    measured.require_sizes_of("circle", True)
+    with pytest.raises(InputError, match="`width_nm` and `length_nm` for the shape 'rectangle', got `diameter_nm`"):
+        measured.require_sizes_of("rectangle", False)
+    table.write_text("x_um,y_um,width_nm,length_nm\n0.0,0.0,140,140\n0.35,0.0,150,151\n", encoding="utf-8")
+    read_measured(table).require_sizes_of("rectangle", False)
+    with pytest.raises(InputError, match="150 x 151 nm in row 2"):
+        read_measured(table).require_sizes_of("ring", True)

@@ -14,7 +14,7 @@ from metafab import layout
 from metafab.core.errors import InputError
 from metafab.core.storage.pictures import read_grey
 from metafab.spec import UnitCell, kinds, load_design, write_new
-from metafab.spec.new import sample_picture, write_field_um
+from metafab.spec.new import NewLens, sample_picture, write_field_um
 from metafab.steps import preflight
 
 UNIT_CELL = Path(__file__).parents[3] / "unitcell_lib" / "sos_800nm.toml"
@@ -114,3 +114,10 @@ def test_the_sample_picture_survives_its_file(tmp_path: Path) -> None:
     # One grey level of 255 is the file's resolution.
     assert np.abs(read - sample_picture()).max() <= 0.5 / 255.0 + 1e-12
     assert read[0, 0] == 0.0
+
+
+@pytest.mark.parametrize("aperture_um", [0.01, 1e9, float("nan")])
+def test_an_aperture_that_no_design_takes_is_refused(aperture_um: float, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"one period, 0\.35, to 300000"):
+        write_new("mine", "metalens", tmp_path, lens=NewLens(aperture_um=aperture_um))
+    assert list(tmp_path.iterdir()) == []
