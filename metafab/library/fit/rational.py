@@ -182,7 +182,7 @@ def scaled(size_nm: FloatArray, span_nm: Range) -> FloatArray:
 
 
 class _Equations(NamedTuple):
-    """What n samples of one polarisation say of its model."""
+    """Values and slopes at n samples, to which the model of one polarisation is fitted."""
 
     place: FloatArray  #: Shape (n, 2 + n_variables), sizes and axes, each in -1..1.
     values: ComplexArray  #: Shape (n, 2), t and r.
