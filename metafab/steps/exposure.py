@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -105,16 +105,13 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
         raise InputError.single(design.name, "cell.lattice", expected, "'hexagonal'", remedy)
     exposed = expose_mask(path, design, printed == "corrected", 0, copy, work, keep_sizes=True)
     assert design.process is not None
-    if (dose := exposed.exposure.figures).prints_nothing:
-        got, remedy = (
-            f"{dose.base_over_clearing_dose:.3g}, at which no pillar prints",
-            "leave it out for the dose to size",
-        )
-        key = "process.exposure.base_over_clearing_dose"
+    figures = exposed.exposure.figures
+    if figures.prints_nothing:
+        key, got = "process.exposure.base_over_clearing_dose", f"{figures.base_over_clearing_dose:.3g}"
+        remedy = "leave it out for the dose to size"
         raise InputError.single(design.name, key, "a dose at which pillars print", got, remedy)
     etch = design.process.etch or Etch()
     made = made_pillars(exposed.drawn, exposed.exposure, etch, Outline.of(design))
-    figures = exposed.exposure.figures
     library = open_library(job)
     corner = dict(etch.corner)
     is_rectangle = job.design.unit_cell.cell.shape == "rectangle"
@@ -215,6 +212,15 @@ def copy_figures(exposed: ExposedMask, design: Design) -> tuple[CopyFigures, ...
             )
         )
     return tuple(found)
+
+
+def errors_of_copies_nm(copies: Sequence[CopyFigures]) -> tuple[float, float]:
+    """Rms and largest magnitude of the size errors of all lenses of which any pillar prints; NaN without one."""
+    printing = [one for one in copies if not math.isnan(one.cd_error_rms_nm)]
+    if not printing:
+        return math.nan, math.nan
+    square = sum(one.cd_error_rms_nm**2 for one in printing) / len(printing)
+    return math.sqrt(square), max(one.cd_error_max_nm for one in printing)
 
 
 def save_exposure(exposed: ExposedMask, mask_file: Path, design: Design, path: Path) -> None:

@@ -25,6 +25,7 @@ from metafab.cli.commands.run import headlines
 from metafab.core.errors import InputError, MetafabError, MissingToolError, SolverError
 from metafab.core.parallel.progress import silent
 from metafab.steps import RunSummary
+from metafab.steps.exposure import PrintedFigures
 from tests.closed_form_run import run_summary
 from tests.conftest import MainJob
 from tests.main_job import SMALL, metafab
@@ -242,6 +243,8 @@ def test_a_run_is_told_in_a_dozen_lines_and_names_its_report(tmp_path: Path) -> 
     assert summary.library is not None
     unstated = replace(summary, layout=None, library=replace(summary.library, max_error=math.nan))
     assert "library error" not in headlines(unstated, tmp_path)
+    unprinted = replace(summary, exposure=PrintedFigures(math.nan, math.nan, 7213, 1e-4))
+    assert headlines(unprinted, tmp_path)["printed sizes"] == "no pillar prints with one dose"
 
 
 def test_only_a_lobe_that_turns_has_a_rotation(main_job: MainJob, tmp_path: Path) -> None:

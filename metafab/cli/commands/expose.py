@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import math
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -48,7 +47,14 @@ def expose_command(
     size errors, before and after the correction with --correct.
     """
     from metafab.spec import load_design
-    from metafab.steps.exposure import copy_figures, corrected_folder, expose_mask, save_exposure, write_corrected
+    from metafab.steps.exposure import (
+        copy_figures,
+        corrected_folder,
+        errors_of_copies_nm,
+        expose_mask,
+        save_exposure,
+        write_corrected,
+    )
 
     if (sample > 0) != (sample_csv is not None):
         expected = "`--sample N` together with `--sample-csv OUT.csv`"
@@ -90,8 +96,7 @@ def expose_command(
         announce([f"{result.figures.classes} of {asked_classes} classes: doses of `mask.copies` need datatypes too"])
     if copies := copy_figures(exposed, spec):
         further["copies"] = [asdict(one) for one in copies]
-        further["copies_rms_nm"] = math.sqrt(sum(one.cd_error_rms_nm**2 for one in copies) / len(copies))
-        further["copies_max_nm"] = max(one.cd_error_max_nm for one in copies)
+        further["copies_rms_nm"], further["copies_max_nm"] = errors_of_copies_nm(copies)
     show(
         result.figures,
         json_,

@@ -193,7 +193,8 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
         corrected = printed.corrected_rms_nm
         after = "" if corrected is None else f", {corrected:.2g} nm with corrected doses or shapes"
         left_out = f" (without {printed.unprinted} pillars that do not print)" if printed.unprinted else ""
-        lines["printed sizes"] = f"{printed.cd_error_rms_nm:.2g} nm off (rms) with one dose{left_out}{after}"
+        plain = f"{printed.cd_error_rms_nm:.2g} nm off (rms) with one dose{left_out}"
+        lines["printed sizes"] = ("no pillar prints with one dose" if isnan(printed.cd_error_rms_nm) else plain) + after
     if (psf := summary.psf) is not None:
         efficiency = sum(psf.efficiency_x) / len(psf.efficiency_x)
         lines["PSF error"] = f"{max(psf.error):.2g} at most (relative L2)"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from metafab.library import Library, save
 from metafab.spec import Dose, load_design
 from metafab.spec.mask import Copy
 from metafab.steps import Job, write_layout
-from metafab.steps.exposure import EXPOSURE, expose_mask
+from metafab.steps.exposure import EXPOSURE, CopyFigures, errors_of_copies_nm, expose_mask
 from tests.main_job import SMALL
 
 FURTHER = """
@@ -42,6 +43,17 @@ def test_a_copy_out_of_focus_is_exposed_at_the_base_dose_of_the_others(smooth_li
     assert blurred.base_over_clearing_dose == pytest.approx(sharp.base_over_clearing_dose, rel=1e-12)
     assert abs(sharp.cd_bias_nm) < 0.1
     assert abs(blurred.cd_bias_nm) > 1.0
+
+
+def test_a_copy_that_does_not_print_has_no_size_errors() -> None:
+    """Its errors counted as 0, then as NaN of all."""
+    none = CopyFigures(1, 0.01, math.nan, math.nan, 9, 0.01, 0.01, 1)
+    printed = [
+        replace(none, copy=copy, cd_error_rms_nm=rms, cd_error_max_nm=5.0, unprinted=0)
+        for copy, rms in ((2, 3.0), (3, 4.0))
+    ]
+    assert errors_of_copies_nm([none, *printed]) == pytest.approx((math.sqrt(12.5), 5.0))
+    assert all(map(math.isnan, errors_of_copies_nm([none])))
 
 
 def test_a_run_leaves_out_an_exposure_that_cannot_be_predicted() -> None:
