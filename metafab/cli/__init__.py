@@ -10,14 +10,13 @@ JSON object and nothing else. Progress bars go to stderr, and only on a terminal
 - ``console``    bars, tables, JSON
 - ``commands``   the commands:
 
-  - ``run``       ``new``, ``run``
+  - ``run``       ``new``, ``run``, ``stokes``
   - ``cell``      ``cell``, ``library build``, ``library check``, ``library show``
   - ``mask``      ``layout``, ``drc``
   - ``expose``    ``expose``
   - ``fullwave``  ``fullwave``, ``coupling``, ``patch``
   - ``light``     ``psf``, ``tolerance``
   - ``images``    ``capture``, ``film``, ``decode``, ``calibrate``
-  - ``stokes``    ``stokes``
   - ``study``     ``propose``, ``compare``
   - ``service``   ``report``, ``benchmark``, ``doctor``
 """

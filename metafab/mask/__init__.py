@@ -7,6 +7,7 @@ file, by whatever software. Out: a :class:`ReadBack` with the pillars and every 
 - ``sidecar``: the files next to the mask: counts, areas, write time (``layout.json``); layer names (``layout.lyp``)
 - ``plan``: seconds, bytes and core-hours of a layout, from a sample of tiles
 - ``read``: a file -> pillars at lattice sites, or its bare shapes
+- ``budget``: memory and time that reading a file may take
 - ``measured``: measured sizes of pillars, from a table
 - ``writing``: fracture into shots, write time, order of the write fields
 - ``exchange``: pillars of a gdstk cell

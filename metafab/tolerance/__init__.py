@@ -1,9 +1,10 @@
 """Effect of fabrication faults on the PSFs, efficiency, extinction and decoded depth of a written mask.
 
-- ``corners``  amplitudes of a mask with another height, index, sidewall or bias, from a few solved cells
-- ``scatter``  random faults of block sums: misplaced and missing pillars, stitched write fields
-- ``study``    :func:`tolerance_table`: all corners and faults against the nominal mask, decoded depth included;
-               ``tolerance.json``
+- ``corners``     amplitudes of a mask with another height, index, sidewall or bias, from a few solved cells
+- ``corner_fit``  their change, fitted to the solved sizes
+- ``scatter``     random faults of block sums: misplaced and missing pillars, stitched write fields
+- ``study``       :func:`tolerance_table`: all corners and faults against the nominal mask, decoded depth included;
+                  ``tolerance.json``
 
 In: a :class:`~metafab.optics.WrittenField` with its library, an :class:`~metafab.optics.Imaging` and the tolerances of
 a design. Out: a :class:`ToleranceTable`.

@@ -1,9 +1,11 @@
 """Rendering: a scene at rest -> mean electrons of each pixel.
 
-- ``texture``  brightness patterns
-- ``render``   objects -> coverage and brightness at each of their depths
-- ``motion``   a moving scene -> the scene at one time; rows of the sensor -> their exposures
-- ``windows``  rectangles of the sensor on which the two images lie
-- ``blur``     convolution of a layer with PSFs that vary over the field
-- ``lens``     both images of a scene, from far to near
+- ``texture``    brightness patterns
+- ``render``     objects -> coverage and brightness at each of their depths
+- ``picture``    scenes given by a picture and its depths
+- ``occlusion``  share of the aperture that sees each point of a surface behind another
+- ``motion``     a moving scene -> the scene at one time; rows of the sensor -> their exposures
+- ``windows``    rectangles of the sensor on which the two images lie
+- ``blur``       convolution of a layer with PSFs that vary over the field
+- ``lens``       both images of a scene, from far to near
 """

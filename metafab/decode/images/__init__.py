@@ -1,8 +1,9 @@
 """All-in-focus images, their contrast, and the 4D image put together.
 
-- ``deconvolution``  Wiener deconvolution, tile by tile, at the depth of each pixel
-- ``highlights``     saturated pixels and highlights about them, apart from the rest of a tile
+- ``deconvolution``      Wiener deconvolution, tile by tile, at the depth of each pixel
+- ``unmixing``           separation of the polarisations that a birefringent substrate mixes
+- ``highlights``         saturated pixels and highlights about them, apart from the rest of a tile
 - ``contrast_outlines``  outlines between segments of unlike contrast, moved to where the contrast changes
-- ``contrast``       I_x / I_y of pixels and segments, with standard errors
-- ``compose``        PixelDepth, Regions and sharp images -> Image4D
+- ``contrast``           I_x / I_y of pixels and segments, with standard errors
+- ``compose``            PixelDepth, Regions and sharp images -> Image4D
 """

@@ -1,5 +1,6 @@
 """Field behind the metasurface.
 
-- ``source``    the written pillars through their library, or the target phases; a stop and an amplitude in their plane
-- ``measured``  pillars with sizes from a table, as from electron micrographs
+- ``source``      the written pillars through their library, or the target phases; stop and amplitude in their plane
+- ``neighbours``  field behind the pillars, each among its own neighbours
+- ``measured``    pillars with sizes from a table, as from electron micrographs
 """
