@@ -224,8 +224,8 @@ def _orders(figures: OrdersFigures, seconds: float) -> str:
     caption = (
         f"The pillars of the mask repeat after {figures.sites[0]} x {figures.sites[1]}. Light in each wanted order and "
         f"in others from 3 % on, far from the rim: mean of {figures.windows} unlike repeats by full wave with periodic "
-        f"boundaries ({seconds:.0f} s). The error is that of the solver and of the repeats that were not solved. "
-        "The library takes each pillar among its like, as the PSFs do."
+        f"boundaries ({seconds:.0f} s). The error is that of the solver, of the repeats that were not solved, "
+        "and of a phase that drifts over a repeat. The library takes each pillar among its like, as the PSFs do."
     )
     return html.table(head, rows, ["", "", "n", "n", "n", "n", ""]) + html.paragraph(escape(caption), "caption")
 

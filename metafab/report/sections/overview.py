@@ -43,10 +43,14 @@ def headlines(run: RunFolder) -> str:
     solved = summary.orders is not None and summary.orders.sites is not None
     if summary.orders is not None and solved:
         items.append(_by_full_wave(summary.orders))
+    among_neighbours = None if summary.orders is None else summary.orders.efficiency_ratio
+    if summary.lights is None and summary.merit is not None and run.forms_images and nmae is None:
+        items += _focus(summary.merit, among_neighbours)
+    elif among_neighbours is not None:
+        text = "of the light of equal neighbours in the focus, by full wave of rows of unlike neighbours"
+        items.append(html.headline(f"{100 * among_neighbours:.0f}\u202f%", text))
     if summary.lights is not None and run.forms_images:
         items += _lights(summary.lights, summary.layout)
-    elif summary.merit is not None and run.forms_images and nmae is None:
-        items += _focus(summary.merit, None if summary.orders is None else summary.orders.efficiency_ratio)
     terms = () if run.design is None else run.design.phase
     if summary.layout is not None and not solved and terms and all(isinstance(term, Grating) for term in terms):
         items.append(html.headline(f"{100 * summary.layout.efficiency:.0f}\u202f%", _orders(terms)))

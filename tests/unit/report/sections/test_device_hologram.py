@@ -89,6 +89,9 @@ def test_a_focus_without_a_width_has_none_in_the_headline(run: RunFolder) -> Non
     rows = OrdersFigures(windows=6, coupling_error=0.35, efficiency_ratio=0.7)
     steep = headlines(dataclasses.replace(own, summary=dataclasses.replace(summary, orders=rows)))
     assert "14\u202f%</b>" in steep and "(among equal neighbours: 20\u202f%)" in steep
+    # A camera's page has no headline of the focus.
+    camera = dataclasses.replace(summary, orders=rows, decode=run.summary.decode)
+    assert "70\u202f%</b><span>of the light of equal" in headlines(dataclasses.replace(own, summary=camera))
 
 
 def test_a_mask_for_several_lights_has_its_figures_in_each_of_them(run: RunFolder) -> None:
