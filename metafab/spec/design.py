@@ -52,9 +52,8 @@ class Device(Checked):
     Helices are optimised for the full circle or square, whatever the outline.
     """
 
-    aperture_um: Annotated[
-        float, Field(strict=True, gt=0.0, le=LARGEST_APERTURE_UM)
-    ]  #: Diameter or side of the aperture.
+    #: Diameter or side of the aperture.
+    aperture_um: Annotated[float, Field(strict=True, gt=0.0, le=LARGEST_APERTURE_UM)]
     focal_length_mm: Positive  #: Focal length for collimated light.
     aperture_shape: Literal["circle", "square", "ring", "polygon"] = "circle"  #: Shape of the aperture.
     inner_um: NonNegative = 0.0  #: Diameter of the circle that a ring excludes.
