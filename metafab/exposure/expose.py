@@ -118,10 +118,12 @@ class ExposureFigures:
     continuous_rms_nm: float | None = optional()  #: Rms size error before doses are rounded to classes, if they are.
     continuous_max_nm: float | None = optional()  #: Largest magnitude, likewise.
 
-    @property
-    def prints_nothing(self) -> bool:
-        """Whether no pillar prints."""
-        return self.unprinted == self.pillars
+    def require_printed(self, name: str, key: str) -> None:
+        """Refuse an exposure in which no pillar prints: InputError for ``key``, the base dose, of ``name``."""
+        if self.unprinted == self.pillars:
+            got = f"{self.base_over_clearing_dose:.3g}, at which no pillar prints"
+            remedy = "leave it out for the dose to size"
+            raise InputError.single(name, key, "a dose at which pillars print", got, remedy)
 
 
 @dataclass(frozen=True)
@@ -253,9 +255,9 @@ def expose_lenses(
                 sums = continuous[key]
                 figures = replace(figures, continuous_rms_nm=sums.rms_nm, continuous_max_nm=sums.largest_nm)
             found[key] = replace(result, figures=figures, dose_class=of_site[number], class_dose=class_dose)
-    if correction != "none" and all(one.figures.prints_nothing for one in found.values()):
-        got, remedy = f"{ratio:.3g}, at which no pillar prints", "leave it out for the dose to size"
-        raise InputError.single("exposure", "base_over_clearing_dose", "a dose at which pillars print", got, remedy)
+    if correction != "none":
+        most = min((one.figures for one in found.values()), key=lambda figures: figures.unprinted)
+        most.require_printed("exposure", "base_over_clearing_dose")
     return tuple(found[one.surroundings, lens.dose] for lens, one in zip(lenses, dosed, strict=True))
 
 

@@ -106,10 +106,7 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     exposed = expose_mask(path, design, printed == "corrected", 0, copy, work, keep_sizes=True)
     assert design.process is not None
     figures = exposed.exposure.figures
-    if figures.prints_nothing:
-        key, got = "process.exposure.base_over_clearing_dose", f"{figures.base_over_clearing_dose:.3g}"
-        remedy = "leave it out for the dose to size"
-        raise InputError.single(design.name, key, "a dose at which pillars print", got, remedy)
+    figures.require_printed(design.name, "process.exposure.base_over_clearing_dose")
     etch = design.process.etch or Etch()
     made = made_pillars(exposed.drawn, exposed.exposure, etch, Outline.of(design))
     library = open_library(job)
