@@ -26,7 +26,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.parallel.executor import kept_threads
+from metafab.core.parallel.executor import default_workers, kept_threads
 from metafab.decode.matching.filter_basis import frequencies
 from metafab.decode.segmentation.layer_light import LayerOptics, at_depth, texture_amplitude
 from metafab.decode.segmentation.null_channel import Rectangle
@@ -67,7 +67,7 @@ _CONVERGED = 1e-12
 
 #: Least divisor of conjugate gradients.
 _LEAST = float(np.finfo(np.float64).tiny)
-#: Objects that are fitted at once: their data stay in a core's cache.
+#: Most objects that are fitted at once: their data stay in a core's cache.
 _AT_ONCE = 10
 
 #: Logarithm of vergence, rectangle, and mean intensity of the surface and of the object in both images: shape (k, 9).
@@ -106,12 +106,14 @@ def fitted_objects(
 ) -> list[FittedObject | None]:
     """Fit objects, each by itself; None for those beyond their surface or the nearest calibrated depth.
 
-    Fits with windows of one side are computed a few at a time: the cost of calls outweighs that of small transforms.
+    Fits with windows of one side are computed a few at a time, on all cores: the cost of calls outweighs that of small
+    transforms.
     """
     sides = [start.side(optics) for start in starts]
     order = sorted(range(len(starts)), key=lambda number: sides[number])
     groups = [list(group) for _, group in groupby(order, key=lambda number: sides[number])]
-    batches = [group[at : at + _AT_ONCE] for group in groups for at in range(0, len(group), _AT_ONCE)]
+    count = min(_AT_ONCE, -(-len(starts) // default_workers()))
+    batches = [group[at : at + count] for group in groups for at in range(0, len(group), count)]
     fitted: dict[int, FittedObject | None] = {}
     with kept_threads() as pool:
         found = pool.map(lambda batch: _fitted(prepared, optics, [starts[number] for number in batch]), batches)
@@ -167,8 +169,7 @@ def _fitted(prepared: PreparedFrame, optics: LayerOptics, starts: Sequence[Objec
     if at.size:
         errors = _ERROR_RATIO * _Linear.of(window.taken(at), unknowns[at], textures[at], 0).depth_errors()
         for number, error in zip(at.tolist(), errors.tolist(), strict=True):
-            vergence, *_ = np.exp(unknowns[number]).tolist()
-            fitted[number] = FittedObject(vergence, error, unknowns[number, 1:5] - origin)
+            fitted[number] = FittedObject(math.exp(unknowns[number, 0]), error, unknowns[number, 1:5] - origin)
     return fitted
 
 
@@ -246,7 +247,7 @@ class _Scene:
     window: _Window
     levels: NDArray[np.float32]  # (k, 2, 2, 1, 1), mean intensities of the surface and of the object in both images
     means: NDArray[np.float32]  # (k, 2, 2, n, n), images of the surface and of the object per mean intensity, electrons
-    pair: _Spectra  # (k, 2, n, n // 2 + 1), the pair at the object's depth
+    depth: _Depth  # optics of the object's depth
     cover: NDArray[np.float32]  # (k, 1, n, n), share of each pixel that the object covers, low frequencies
     seen: NDArray[np.float32]  # (k, 1, n, n), share of the aperture that sees the surface
     balance: NDArray[np.float32]  # (k, 2, n, n), share of the surface's blurred light that the camera adds
@@ -268,7 +269,7 @@ class _Scene:
             window,
             unknowns[:, 5:].reshape(-1, 2, 2, 1, 1).astype(np.float32),
             np.stack([window.light * through * (1.0 - veil), window.light * blurred], axis=1),
-            depth.pair,
+            depth,
             covered,
             1.0 - open_share,
             window.pictures(window.surface * hidden) / through - veil,
@@ -277,7 +278,7 @@ class _Scene:
     @cached_property
     def object(self) -> _Spectra:
         """The pair times the objects' mean intensities, shape (k, 2, n, n // 2 + 1)."""
-        return np.asarray(self.pair * self.levels[:, 1])
+        return np.asarray(self.depth.pair * self.levels[:, 1])
 
     @property
     def mean(self) -> NDArray[np.float32]:
@@ -321,7 +322,7 @@ class _Scene:
         """
         window, here = self.window, self.textured(textures)
         part = window.pictures(
-            self.pair * window.spectra(window.pictures(window.amplitude * textures[..., 1:, :, :]) * self.cover)
+            self.depth.pair * window.spectra(window.pictures(window.amplitude * textures[..., 1:, :, :]) * self.cover)
         )
         slopes = np.zeros((9, *here.shape), dtype=np.float32)
         for image in range(2):
@@ -329,11 +330,10 @@ class _Scene:
             if mean:
                 slopes[5 + image, :, image] = self.means[:, 0, image]
                 slopes[7 + image, :, image] += self.means[:, 1, image]
-        own = _Depth.of(window, unknowns[:, 0])
         for number in range(first, _LEVELS_AT):
             other = unknowns.copy()
             other[:, number] += _DIFFERENCES[number]
-            moved = _Scene.of(window, _Depth.of(window, other[:, 0]) if number == 0 else own, other)
+            moved = _Scene.of(window, _Depth.of(window, other[:, 0]) if number == 0 else self.depth, other)
             change = moved.textured(textures) - here
             slopes[number] = (change + (moved.mean - self.mean) if mean else change) / np.float32(_DIFFERENCES[number])
         return slopes[first:]
@@ -409,8 +409,9 @@ class _Linear:
             along = self.scene.adjoint(weight * images)
             along += ahead
             along_free = _times(_flat(images), back) + prior * ahead_free
-            # A system that has converged stays, while others go on.
-            length = norm / np.maximum(_product(ahead, along) + (ahead_free * along_free).sum(axis=-1), _LEAST)
+            # A system that has converged stays, while others go on: its solution does not depend on theirs.
+            curvature = _product(ahead, along) + (ahead_free * along_free).sum(axis=-1)
+            length = np.where(norm < _CONVERGED, 0.0, norm / np.maximum(curvature, _LEAST))
             textures, free = textures + _wide(length) * ahead, free + length[..., None] * ahead_free
             right, right_free = right - _wide(length) * along, right_free - length[..., None] * along_free
             next_, next_free = through * right, _times(right_free, inverse)

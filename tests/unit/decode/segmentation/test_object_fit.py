@@ -48,4 +48,4 @@ def test_slopes_of_the_determinant_are_those_of_the_dense_matrix(monkeypatch: py
     # A fit does not depend on those that are computed with it.
     beside = replace(start, middle=(middle[0] + 1, middle[1]))
     both = object_fit._Window.of(prepared, decoder.layer_optics, [beside, start])
-    assert object_fit._determinant_slopes(both, np.vstack([unknowns, unknowns]))[1, 0] == pytest.approx(drawn, rel=1e-3)
+    assert object_fit._determinant_slopes(both, np.vstack([unknowns, unknowns]))[1, 0] == pytest.approx(drawn, rel=1e-6)
