@@ -1,7 +1,11 @@
-"""Fingerprints of source code and of the files that a spec names."""
+"""Fingerprints of source code and of the files that a spec names.
+
+Docstrings, comments and blank lines do not count: hours of solved rows survive a better sentence.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
@@ -14,6 +18,15 @@ from metafab.core.storage.files import file_sha256
 from metafab.core.storage.source_graph import sources_of
 
 _PACKAGE = Path(__file__).parents[2]
+_LONG_STRING = r'"""(?:[^"\\]++|\\.|"(?!""))*+"""'
+_STRING = rf"""{_LONG_STRING}|'''(?:[^'\\]++|\\.|'(?!''))*+'''|"(?:[^"\\\n]++|\\.)*+"|'(?:[^'\\\n]++|\\.)*+'"""
+#: Strings, colons before docstrings, ends of lines before blank ones, and comments, in code as the formatter writes it;
+#: the group that matches is what counts. A library's modules take 0.03 s, a tenth of a parse by Python.
+_WORDS = re.compile(
+    rf"({_STRING})|(:)(?:  \#[^\n]*+)?\n(?:\s|\#[^\n]*+\n)*+[rR]?{_LONG_STRING}(?=\n)"
+    r"|(\n)(?:[ \t]*+(?:\#[^\n]*+)?\n)*+|  \#[^\n]*+()",
+    re.DOTALL,
+)
 
 
 @cache
@@ -27,9 +40,11 @@ def code_sha256(rooms: tuple[str, ...]) -> str:
 
 @cache
 def sources_sha256(modules: tuple[str, ...], rooms: tuple[str, ...]) -> str:
-    """Hash of the source of ``modules``, of every module of this package that they import, and of ``rooms``."""
-    digest = sha256(__version__.encode())
-    digest.update(_files_sha256(sources_of(modules)))
+    """Hash of the source of ``modules``, of every module of this package that they import, and of ``rooms``.
+
+    The version of this package does not count: all code that makes the result does.
+    """
+    digest = sha256(_files_sha256(sources_of(modules)))
     for room in rooms:
         digest.update(_room_sha256(room))
     return digest.hexdigest()
@@ -45,8 +60,14 @@ def _files_sha256(paths: Iterable[Path]) -> bytes:
     digest = sha256()
     for path in paths:
         digest.update(path.relative_to(_PACKAGE).as_posix().encode())
-        digest.update(path.read_bytes())
+        digest.update(code_of(path.read_text(encoding="utf-8")).encode() if path.suffix == ".py" else path.read_bytes())
     return digest.digest()
+
+
+def code_of(source: str) -> str:
+    """Python source without docstrings, comments and blank lines."""
+    # A docstring follows a colon; that of the module gets one.
+    return _WORDS.sub(lambda word: str(word[word.lastindex or 0]), ":\n" + source)
 
 
 def contents_sha256(spec: Any) -> list[str]:

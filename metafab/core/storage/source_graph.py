@@ -34,13 +34,14 @@ def sources_of(roots: tuple[str, ...]) -> tuple[Path, ...]:
     """Sorted files of ``roots`` and of all modules of this package that they import, directly or not.
 
     Imports inside functions and for type checking count. A program that is started by its path has to be named among
-    the roots. ValueError if a root is no module of this package.
+    the roots. The file of the package itself, with its version and the names of its rooms, is left out. ValueError if a
+    root is no module of this package.
     """
     found: set[str] = set()
     ahead = [*roots]
     while ahead:
         module = ahead.pop()
-        if module not in found:
+        if module not in found and module != _PACKAGE.name:
             found.add(module)
             ahead += [defining_module(each) for each in imports_of(module)]
     return tuple(sorted(_file(module) for module in found))

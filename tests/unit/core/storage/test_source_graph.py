@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import io
 import sys
+import tokenize
 from pathlib import Path
 from types import ModuleType
 
@@ -120,6 +122,8 @@ def test_the_hash_follows_the_sources_and_nothing_else(tmp_path: Path, monkeypat
     try:
         first = digest()
         (package / "room" / "bystander.py").write_text("other = 2\n")
+        (package / "__init__.py").write_text('__version__ = "9.9"\n')
+        (package / "room" / "used.py").write_text('"""Values."""\n\n#: The value.\nvalue = 1  # of old\n')
         assert digest() == first
         (package / "room" / "used.py").write_text("value = 2\n")
         assert digest() != first
@@ -128,3 +132,31 @@ def test_the_hash_follows_the_sources_and_nothing_else(tmp_path: Path, monkeypat
     finally:
         for cached in (sources_of, imports_of, provenance.sources_sha256):
             cached.cache_clear()
+
+
+def test_code_is_the_source_without_docstrings_and_comments() -> None:
+    """By Python's own tokens: nothing that runs is left out, and nothing that does not run counts."""
+    tricky = '''r"""Module \\"."""
+
+def f():  # comment
+    # Another.
+    r"""Text with 'quotes', # and \\"."""
+    return {"a": "#", 'b': """#\n\n  # kept\n"""}, "it's", f"#{1:>3}"  # end
+'''
+    seen = (tokenize.OP, tokenize.NAME, tokenize.NUMBER, tokenize.STRING)
+
+    def tokens(text: str) -> list[tuple[tuple[int, int], str]]:
+        every = tokenize.generate_tokens(io.StringIO(text).readline)
+        return [(each.start, each.string) for each in every if each.type in seen or "FSTRING" in repr(each)]
+
+    paths = sorted((PACKAGE / "core" / "storage").glob("*.py"))
+    for source in (tricky, *(path.read_text(encoding="utf-8") for path in paths)):
+        described = (ast.Module, ast.ClassDef, ast.FunctionDef)
+        nodes = [node for node in ast.walk(ast.parse(source)) if isinstance(node, described)]
+        docstrings = [node.body[0] for node in nodes if ast.get_docstring(node) is not None]
+        places = {(each.lineno, each.col_offset) for each in docstrings}
+        code = provenance.code_of(source)
+        expected = [text for place, text in tokens(source) if place not in places]
+        assert [text for _, text in tokens(code)][1:] == expected  # after the colon before the module
+        assert len(code.splitlines()) < len(source.splitlines())
+    assert provenance.code_of(tricky).count("#") == 4
