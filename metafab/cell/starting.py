@@ -40,6 +40,8 @@ _RECORDS = {
 }
 _WIDEST, _MARGIN = 1.65, 0.93
 _LEAST_INDEX = 1.3
+#: Shortest wavelength; a smaller number is one in um.
+_SHORTEST_NM = 10.0
 #: Largest number that is accepted as an index, and largest extinction of a substrate over its index, for light to pass
 #: it.
 _LARGEST_INDEX, _DIMMEST = 100.0, 0.1
@@ -100,8 +102,9 @@ def starting_cell(
     """
     if shape not in _ERROR:
         raise InputError.single("new", "--shape", f"one of {', '.join(_ERROR)}", repr(shape), near(shape, _ERROR))
-    if not 0.0 < wavelength_nm < math.inf:
-        raise InputError.single("new", "--wavelength-nm", "a wavelength above 0", f"{wavelength_nm:g}")
+    if not _SHORTEST_NM <= wavelength_nm < math.inf:
+        expected = f"a wavelength of {_SHORTEST_NM:g} nm or more"
+        raise InputError.single("new", "--wavelength-nm", expected, f"{wavelength_nm:g}", "the unit is nm")
     (pillar, pillar_name, pillar_toml), (ground, ground_name, ground_toml) = (
         _material(name, wavelength_nm, option, folder)
         for name, option in ((material, "--material"), (substrate, "--substrate"))
@@ -109,11 +112,11 @@ def starting_cell(
     n_pillar, n_ground = (refractive_index(each, wavelength_nm) for each in (pillar, ground))
     n, n_substrate = n_pillar[0].real, n_ground[0].real
     if n < _LEAST_INDEX:
-        expected = f"a material with an index of {_LEAST_INDEX:g} or more, which guides light in air"
-        raise InputError.single("new", "--material", expected, f"{material} with {n:.3g}")
+        expected = f"a material that guides light in air, with an index of {_LEAST_INDEX:g} or more"
+        raise InputError.single("new", "--material", expected, f"{n:.3g} at {wavelength_nm:g} nm")
     if n_substrate < 1.0 or n_ground[0].imag > _DIMMEST * n_substrate:
         expected = f"a substrate that light passes: n of 1 or more, k of at most {_DIMMEST:g} n"
-        raise InputError.single("new", "--substrate", expected, f"{substrate} with {n_ground[0]:.3g}")
+        raise InputError.single("new", "--substrate", expected, f"{n_ground[0]:.3g} at {wavelength_nm:g} nm")
     widest_nm = wavelength_nm / max(n_substrate, 2.0 * numerical_aperture, n / _WIDEST)
     period_nm = _ROUND_NM * math.floor(_MARGIN * widest_nm / _ROUND_NM)
     largest_nm = max(_LARGEST_RULE_NM, _LARGEST_RULE * wavelength_nm)
@@ -240,5 +243,6 @@ def _record(name: str, wavelength_nm: float, option: str) -> str:
         low, high = known[record]
         if low <= wavelength_nm <= high:
             return record
-    ranges = "; ".join(f"{record} from {known[record][0]:g} to {known[record][1]:g} nm" for record in tried)
-    raise InputError.single("new", option, f"a record with {wavelength_nm:g} nm", ranges, "name another record")
+    ranges = " and ".join(f"{record} from {known[record][0]:g} to {known[record][1]:g} nm" for record in tried)
+    remedy = "name another record, or a CSV file"
+    raise InputError.single("new", option, f"a record that holds {wavelength_nm:g} nm", ranges, remedy)

@@ -28,6 +28,10 @@ HELP = {"help_option_names": ["-h", "--help"]}
 class _Command(TyperCommand):
     """A command that states bad values in our words and refuses to write its result over one of its input files."""
 
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.help = self.help and self.help.replace("``", "`")  # docstrings mark code with two backticks
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         try:
             return super().parse_args(ctx, args)

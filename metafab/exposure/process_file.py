@@ -60,8 +60,8 @@ def fitted_process(
     """
     start = exposure_process(design, _unfit(design))
     measured = read_measured(table, ("copy", "dose", "focus_um", *_ETCHED))
-    if measured.has_diameters:  # else widths and lengths of round pillars differ by noise
-        measured.require_sizes_of(design.unit_cell.cell.shape, design.unit_cell.cell.is_round)
+    # Widths and lengths of round pillars may differ: both are measured.
+    design.unit_cell.cell.require_sides(table, measured.has_diameters)
     means: dict[str, Any] = {
         name: round(float(np.mean(values)), 3) for name, values in measured.further.items() if name in _ETCHED
     }

@@ -44,19 +44,6 @@ class MeasuredTable:
         further = {name: column[rows] for name, column in self.further.items()}
         return MeasuredTable(self.path, self.place_um[rows], self.size_nm[rows], further, self.has_diameters)
 
-    def require_sizes_of(self, shape: str, is_round: bool) -> None:
-        """Refuse diameters of pillars that are not round, and widths of round ones that are not their lengths."""
-        expected = "equal widths and lengths, or `diameter_nm`" if is_round else "`width_nm` and `length_nm`"
-        unequal = np.flatnonzero(self.size_nm[:, 0] != self.size_nm[:, 1])
-        if self.has_diameters and not is_round:
-            got = "`diameter_nm`"
-        elif is_round and unequal.size:
-            width, length = self.size_nm[unequal[0]]
-            got = f"{width:g} x {length:g} nm in row {unequal[0] + 1}"
-        else:
-            return
-        raise InputError.single(str(self.path), "sizes", f"{expected} for the shape {shape!r}", got)
-
     def sites(self, pillars: PillarMap) -> NDArray[np.int64]:
         """Row and column of the pillar at each place, within half a pitch: shape (n, 2).
 

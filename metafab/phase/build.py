@@ -306,8 +306,8 @@ def undersampled_share(design: Design) -> float:
     There it turns by more than pi from pillar to pillar, so that a flatter phase, with one turn per pillar less, has
     the same values and takes the light: the slope lies beyond the first Brillouin zone of the lattice. The larger share
     of both polarisations counts. The slope of an array is the mean of its steps from sample to sample over a few
-    periods, since the interpolation between them is uneven. Helices and holograms are left out. An unusable array
-    raises InputError.
+    periods, since the interpolation between them is uneven. Terms with jumps, as helices and holograms, are left
+    out. An unusable array raises InputError.
     """
     period_um = 1e-3 * np.array(design.unit_cell.cell.period_nm)
     formulas = []
@@ -317,7 +317,7 @@ def undersampled_share(design: Design) -> float:
             count_x, count_y = np.ceil(_WINDOW * period_um / term.pitch_um).astype(int).tolist()
             step_um = term.pitch_um, term.pitch_um
             slopes += _slopes(design, [_plain_term(design, term)], step_um, (count_x, count_y))
-        elif not isinstance(term, spec.SpiralZones | spec.Picture | spec.DoubleHelix):
+        elif term.is_smooth:
             formulas.append(_plain_term(design, term))
     near_x_um, near_y_um = (_LOCAL * period_um).tolist()
     slopes += _slopes(design, formulas, (near_x_um, near_y_um))

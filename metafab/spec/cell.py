@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import fields
+from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from metafab.core.conventions import Side
+from metafab.core.conventions import FloatArray, Side
+from metafab.core.errors import InputError
 from metafab.spec.fields import BOTH, CONFIG, Checked, NonNegative, Positive, Real, TargetError
 
 
@@ -48,6 +51,8 @@ MaterialOrName = Annotated[
 
 #: Row distance of a regular hexagonal lattice over its period, and its largest allowed relative deviation.
 _ROWS_PER_PERIOD, _MOST_STRAIN = math.sqrt(3.0) / 2.0, 0.01
+
+_SHAPE_REMEDY = "does `cell.shape` of the unit cell fit?"
 
 #: Range of a cell's lengths over the wavelength; a length outside it is probably in another unit.
 _LEAST_WAVELENGTHS, _MOST_WAVELENGTHS = 0.01, 100.0
@@ -134,6 +139,21 @@ class CellGeometry(Checked):
     def hole_nm(self, width_nm: float) -> float:
         """Diameter of the hole of a ring with an outer diameter of ``width_nm``; 0 for other shapes."""
         return width_nm - 2.0 * self.wall_nm if self.wall_nm else self.inner_diameter_nm or 0.0
+
+    def require_sides(self, table: Path, has_diameters: bool) -> None:
+        """Refuse a table with diameters unless the pillars are round."""
+        if has_diameters and not self.is_round:
+            expected = f"`width_nm` and `length_nm` for the shape {self.shape!r}"
+            raise InputError.single(str(table), "columns", expected, "`diameter_nm`", _SHAPE_REMEDY)
+
+    def require_diameters(self, table: Path, size_nm: FloatArray) -> None:
+        """Refuse rows, shape (n, 2), with a width that is not the length if the pillars are round."""
+        unequal = np.flatnonzero(size_nm[:, 0] != size_nm[:, 1])
+        if self.is_round and unequal.size:
+            width, length = size_nm[unequal[0]]
+            expected = f"equal widths and lengths, or `diameter_nm`, for the shape {self.shape!r}"
+            got = f"{unequal.size} that differ, such as {width:g} x {length:g} nm"
+            raise InputError.single(str(table), "sizes", expected, got, _SHAPE_REMEDY)
 
 
 @dataclass(frozen=True, config=CONFIG)

@@ -23,6 +23,7 @@ class _Term(Checked):
     deflects: ClassVar[bool] = False  #: Whether the keys state where the term sends all light, as those of a lens do.
     is_own: ClassVar[bool] = False  #: Whether its phase is the user's own, whose mean slope may deflect light.
     blurs: ClassVar[bool] = False  #: Whether a lens with this term images a point as something other than a spot.
+    is_smooth: ClassVar[bool] = True  #: Whether the phase has no jumps, so that its slope is where its light goes.
 
     polarisation: Polarisation | None = None  #: Polarisation that the term acts on; both without the key.
 
@@ -34,7 +35,7 @@ class SpiralZones(_Term):
     The y polarisation gets the point reflection, which makes the PSF pair conjugate.
     """
 
-    blurs = True
+    blurs, is_smooth = True, False
     term: Literal["spiral_zones"] = "spiral_zones"
     #: Number of zones; zone number n has topological charge n.
     zones: Annotated[int, Field(strict=True, ge=1, le=64)] = 4
@@ -107,7 +108,7 @@ class Axicon(_Term):
 class DoubleHelix(_Term):
     """A double helix of Gauss-Laguerre modes."""
 
-    blurs = True
+    blurs, is_smooth = True, False
     term: Literal["double_helix"] = "double_helix"
     waist: Positive = 0.35  #: Waist of the modes in units of the aperture's radius.
     modes: Annotated[int, Field(strict=True, ge=2, le=8)] = 5  #: Number of Gauss-Laguerre modes.
@@ -181,7 +182,7 @@ class UserArray(_Term):
 class Picture(_Term):
     """A hologram: with a lens, the phase that projects a picture onto the sensor."""
 
-    blurs = True
+    blurs, is_smooth = True, False
     file: Path = Field(kw_only=True)  #: Picture to project: .png, .tif or .npy, its first row at the top.
     width_um: Positive = Field(kw_only=True)  #: Width of the projected picture.
     term: Literal["hologram"] = "hologram"

@@ -35,6 +35,7 @@ def test_every_command_explains_itself(command: list[str], flag: str) -> None:
     answer = metafab(*command, flag)
     assert answer.code == 0
     assert answer.stdout.startswith("Usage: ")
+    assert "``" not in answer.stdout
 
 
 def test_help_before_a_command_lists_all_commands() -> None:

@@ -64,7 +64,7 @@ def import_sweep(
             between the samples are asked for whose amplitudes the samples do not predict.
     """
     table = read_sweep(path)
-    _require_shape(table, unit_cell, path)
+    _require_sizes(table, unit_cell, path)
     size_nm, t = _samples(table, unit_cell, path, quantity, time_sign)
     cell, grid = _grid(unit_cell, size_nm, path)
     lines = size_nm[:, :1] if grid.diagonal else size_nm
@@ -104,12 +104,10 @@ def import_sweep(
     return replace(library, statistics=statistics)
 
 
-def _require_shape(table: SweepTable, unit_cell: UnitCell, path: Path) -> None:
-    circles = unit_cell.cell.is_round
-    if table.circles != circles:
-        got = "diameters" if table.circles else "widths and lengths"
-        expected = f"{'diameters' if circles else 'widths and lengths'} for the shape {unit_cell.cell.shape!r}"
-        raise InputError.single(str(path), "columns", expected, got, "or set `cell.shape` of the unit cell")
+def _require_sizes(table: SweepTable, unit_cell: UnitCell, path: Path) -> None:
+    """Refuse sizes that are too few, not those of the shape, or beyond the period."""
+    unit_cell.cell.require_sides(path, table.has_diameters)
+    unit_cell.cell.require_diameters(path, table.size_nm)
     if len(table.t_xx) < _FEWEST:
         raise InputError.single(str(path), "rows", f"at least {_FEWEST} sizes", f"{len(table.t_xx)}", "sweep more")
     limits_nm = np.array(unit_cell.cell.period_nm)
@@ -144,8 +142,8 @@ def _samples(
 
 def _exchanged(table: SweepTable, unit_cell: UnitCell, path: Path) -> tuple[FloatArray, ComplexArray, ComplexArray]:
     """Sizes and both amplitudes of a file with t_xx alone: t_yy(W, L) is t_xx(L, W) where x and y may be exchanged."""
-    substrate = pillar_cell(unit_cell, 0.0, 0.0).n_substrate
-    if table.circles and (is_square(unit_cell) or (unit_cell.cell.is_hexagonal and substrate[0] == substrate[1])):
+    cell, (n_x, n_y) = unit_cell.cell, pillar_cell(unit_cell, 0.0, 0.0).n_substrate
+    if cell.is_round and n_x == n_y and (unit_cell.has_square_lattice or cell.is_hexagonal):
         return table.size_nm, table.t_xx, table.t_xx
     by_size = {(w, h): t for (w, h), t in zip(table.size_nm.tolist(), table.t_xx, strict=True)}
     pairs = [(size, by_size.get((size[1], size[0]))) for size in by_size]

@@ -47,14 +47,14 @@ class SweepTable:
     size_nm: FloatArray  #: Shape (n, 2), width and length.
     t_xx: ComplexArray  #: Shape (n,), amplitude for x polarised light, as the file has it.
     t_yy: ComplexArray | None  #: Shape (n,), likewise for y; None if the file has one amplitude.
-    circles: bool  #: Whether the file names diameters.
+    has_diameters: bool  #: Whether the file names diameters; then widths equal lengths.
     left_out: int  #: Rows without a finite amplitude.
 
 
 def read_sweep(path: Path) -> SweepTable:
     """Read a sweep; InputError if the file cannot be read, lacks a column, or has no finite row."""
     columns = _columns(path)
-    sizes, circles = _sizes(columns, path)
+    sizes, has_diameters = _sizes(columns, path)
     shape = np.broadcast_shapes(*(size.shape for size in sizes))
     one = _amplitude(columns, "t", path)
     t_xx = one if one is not None else _amplitude(columns, "t_xx", path)
@@ -77,9 +77,8 @@ def read_sweep(path: Path) -> SweepTable:
         twice = size_nm[first[count > 1][0]]
         got = f"{twice[0]:g} x {twice[1]:g} nm more than once"
         raise InputError.single(str(path), "rows", "each size once", got, "one wavelength and one height a file")
-    return SweepTable(
-        size_nm, t_xx[finite], None if t_yy is None else t_yy[finite], circles, int(np.count_nonzero(~finite))
-    )
+    t_yy = None if t_yy is None else t_yy[finite]
+    return SweepTable(size_nm, t_xx[finite], t_yy, has_diameters, int(np.count_nonzero(~finite)))
 
 
 def _columns(path: Path) -> dict[str, NDArray[np.generic]]:

@@ -30,7 +30,8 @@ def with_measured_sizes(pillars: PillarMap, path: Path, library: Library) -> Pil
     """
     table = read_measured(path)
     cell = library.unit_cell.cell
-    table.require_sizes_of(cell.shape, cell.is_round)
+    cell.require_sides(path, table.has_diameters)
+    cell.require_diameters(path, table.size_nm)
     sites = table.sites(pillars)
     table.require_each_once(sites)
     site = (sites[:, 0], sites[:, 1])

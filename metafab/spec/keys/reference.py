@@ -53,20 +53,26 @@ class Key:
 
 @cache
 def keys_of(spec: type, path: str = "") -> tuple[Key, ...]:
-    """Return all keys of a spec's class and of its tables, in the order of the fields, below the tables ``path``."""
+    """Return all keys of a spec's class and of its tables, in the order of the fields, below the tables ``path``.
+
+    A phase term begins with its ``term``, whose meaning is what the term is.
+    """
     hints = get_type_hints(spec, include_extras=True)
     found: list[Key] = []
-    for item in dataclasses.fields(spec):
+    for item in sorted(dataclasses.fields(spec), key=lambda item: item.name != "term"):
         key = f"{path}.{item.name}" if path else item.name
         tables = _tables(hints[item.name])
         if tables and get_origin(_bare(hints[item.name])) is tuple:
             key += "[]"
         unit = next((unit for ending, unit in _UNITS.items() if item.name.endswith(ending)), "")
         kind, allowed = _kind(hints[item.name]), _allowed(hints[item.name])
-        found.append(Key(key, kind, unit, _default(item), allowed, _meanings(spec).get(item.name, "")))
+        default, meaning = _default(item), _meanings(spec).get(item.name, "")
+        if item.name == "term":
+            default, meaning = "required", (inspect.getdoc(spec) or "").splitlines()[0]
+        found.append(Key(key, kind, unit, default, allowed, meaning.replace("``", "`")))
         for table in tables:
             inner = f"{key}.{_tag(table)}" if len(tables) > 1 else key
-            found += [entry for entry in keys_of(table, inner) if not entry.path.endswith(".term")]
+            found += keys_of(table, inner)
     return tuple(found)
 
 

@@ -62,7 +62,7 @@ def test_a_lens_of_rings_has_rules_for_walls_and_holes(tmp_path: Path) -> None:
         (["--wavelength-nm", "532"], "--wavelength-nm and --material"),
         (["--wavelength-nm", "532", "--material", "TiO3"], "did you mean `TiO2`?"),
         (["--wavelength-nm", "532", "--material", "TiO2", "--shape", "circel"], "did you mean `circle`?"),
-        (["--wavelength-nm", "2500", "--material", "TiO2"], "a record with 2500 nm"),
+        (["--wavelength-nm", "2500", "--material", "TiO2"], "a record that holds 2500 nm"),
     ],
 )
 def test_what_does_not_go_together_leaves_no_file(options: list[str], message: str, tmp_path: Path) -> None:

@@ -92,12 +92,13 @@ def test_a_file_or_an_index_of_ones_own_serves_and_so_do_pillars_of_the_substrat
 
 def test_what_cannot_work_is_refused() -> None:
     for arguments, message in (
-        ((-5.0, "2.4"), "a wavelength above 0"),
+        ((-5.0, "2.4"), "a wavelength of 10 nm or more"),
+        ((0.45, "TiO2"), "10 nm or more, got 0.45; the unit is nm"),
         ((532.0, "60"), "whose period holds sizes"),
         ((532.0, "1e300"), "k of 0 or more, at most 100"),
         ((532.0, "unobtainium"), "a material such as"),
-        ((2500.0, "TiO2"), "a record with 2500 nm"),
-        ((532.0, "1.2"), "index of 1.3 or more"),
+        ((2500.0, "TiO2"), "a record that holds 2500 nm"),
+        ((532.0, "1.2"), "index of 1.3 or more, got 1.2 at 532 nm"),
         ((532.0, "2.4-0.1j"), "n above 0 and k of 0 or more"),
         ((532.0, "mine.csv"), "no file|No such file"),
     ):

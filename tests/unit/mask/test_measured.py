@@ -10,6 +10,7 @@ import pytest
 from metafab.core.errors import InputError
 from metafab.layout import Lattice, PillarMap
 from metafab.mask.measured import read_measured
+from metafab.spec.cell import CellGeometry
 
 
 @pytest.mark.parametrize(
@@ -36,10 +37,12 @@ def test_diameters_are_sizes_of_round_pillars(tmp_path: Path) -> None:
     table.write_text("x_um,y_um,diameter_nm\n0.0,0.0,140\n0.35,0.0,150\n", encoding="utf-8")
     measured = read_measured(table)
     assert measured.size_nm.tolist() == [[140.0, 140.0], [150.0, 150.0]]
-    measured.require_sizes_of("circle", True)
+    circle, rectangle = CellGeometry((350.0, 350.0), 300.0, "circle"), CellGeometry((350.0, 350.0), 300.0)
+    circle.require_sides(table, measured.has_diameters)
     with pytest.raises(InputError, match="`width_nm` and `length_nm` for the shape 'rectangle', got `diameter_nm`"):
-        measured.require_sizes_of("rectangle", False)
+        rectangle.require_sides(table, measured.has_diameters)
     table.write_text("x_um,y_um,width_nm,length_nm\n0.0,0.0,140,140\n0.35,0.0,150,151\n", encoding="utf-8")
-    read_measured(table).require_sizes_of("rectangle", False)
-    with pytest.raises(InputError, match="150 x 151 nm in row 2"):
-        read_measured(table).require_sizes_of("ring", True)
+    sizes_nm = read_measured(table).size_nm
+    rectangle.require_diameters(table, sizes_nm)
+    with pytest.raises(InputError, match="got 1 that differ, such as 150 x 151 nm"):
+        circle.require_diameters(table, sizes_nm)

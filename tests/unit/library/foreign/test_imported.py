@@ -131,6 +131,9 @@ def test_diameters_make_a_library_of_circles(cell: UnitCell, tmp_path: Path) -> 
     path = _rows(tmp_path / "circles.csv", "diameter_nm,t_re,t_im", diameter, t.real, t.imag)
     found = import_sweep(path, replace(cell, cell=replace(cell.cell, shape="circle")), quantity="field")
     assert found.known.sum() == 31
+    sides = _rows(tmp_path / "sides.csv", "width_nm,length_nm,t_re,t_im", diameter, diameter, t.real, t.imag)
+    same = import_sweep(sides, replace(cell, cell=replace(cell.cell, shape="circle")), quantity="field")
+    assert np.array_equal(same.t_xx, found.t_xx, equal_nan=True)
     on_grid = found.t_xx[0].diagonal()
     assert on_grid == pytest.approx(_t(found.width_nm, found.width_nm), abs=5e-3)
     assert np.array_equal(on_grid, found.t_yy[0].diagonal())

@@ -32,6 +32,8 @@ def test_types_ranges_units_and_defaults_are_those_of_the_spec() -> None:
     assert KEYS["mask.chip"].kind == "table"
     assert KEYS["mask.copies[].at_um"].kind == "[number, number]"
     assert KEYS["phase[].array.file"].default == "required"
+    vortex = KEYS["phase[].vortex.term"]
+    assert (vortex.allowed, vortex.meaning) == ('"vortex"', "A spiral phase of integer charge.")
     assert KEYS["rules.max_aspect_ratio"].default == ""
     assert KEYS["mask.exposure.dose_uc_per_cm2"].unit == "uC/cm2"
 
