@@ -150,7 +150,8 @@ class MappingFigures:
     #: Retardance (mean phase of y polarisation minus that of x) less that of the design's targets, in (-pi, pi]; chosen
     #: to suit the library unless ``rules.retardance`` keeps it.
     retardance_error_rad: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
-    #: ``efficiency`` by the library's model of neighbours, where sizes were chosen by it.
+    #: ``efficiency`` by the library's model of neighbours, where sizes were chosen by it; by a table, that of sampled
+    #: windows of the mask.
     neighbour_efficiency: float | None = field(default=None, metadata={"optional": True}, kw_only=True)
     #: ``neighbour_efficiency`` of the sizes that suit equal neighbours best.
     neighbour_efficiency_before: float | None = field(default=None, metadata={"optional": True}, kw_only=True)

@@ -115,6 +115,8 @@ def assign(
         total = sums if total is None else total + sums
         progress("mapping", done, len(corners))
     assert total is not None  # An aperture holds at least one site, and so one tile.
+    if mapping.sample is not None:
+        total = total.with_light_of(mapping.sample)
 
     def remapped(
         function: Callable[[PillarTile], Any], executor: Executor | None = executor, ahead: int = AHEAD
@@ -206,21 +208,30 @@ def mapping_of(
         offsets = offset_x, offset_y
     table = each if joint is None else joint.table
     outline = Outline.of(design)
-    mapping = TileMapping(profile, table, aperture, offsets, tile_sites(design), joint, choice, of_lights, outline)
+    mapping = TileMapping(
+        profile, table, aperture, offsets, tile_sites(design), joint, choice, lights=of_lights, outline=outline
+    )
     return _by_table(mapping) if design.rules.neighbours == "table" else mapping
 
 
 def _by_table(mapping: TileMapping) -> TileMapping:
-    """Mapping by one look-up a pillar, from the mean change of t that the choice among neighbours makes in a sample."""
+    """Mapping by one look-up a pillar, from the mean change of t that the choice among neighbours makes in a sample.
+
+    Other windows, if the lens has them, measure the light of the mapping.
+    """
     sampled = replace(mapping, tile_sites=_WINDOW_SITES)
     corners = sampled.corners()
-    chosen = np.unique((np.arange(1, _WINDOWS + 1) * _GOLDEN % 1.0 * len(corners)).astype(np.int64))
+    spread = (np.arange(1, 2 * _WINDOWS + 1) * _GOLDEN % 1.0 * len(corners)).astype(np.int64)
+    chosen = np.unique(spread[:_WINDOWS])
+    unseen = np.setdiff1d(spread[_WINDOWS:], chosen)
     with ThreadPoolExecutor(default_workers()) as threads:
         sums = sum(threads.map(sampled.phase_shifts, [corners[k] for k in chosen]))
-    table = mapping.table
-    places = np.meshgrid(*[np.arange(table.cells) * (SHIFT_CELLS / table.cells)] * 2, indexing="ij")
-    turned = [map_coordinates(each, places, order=1, mode="grid-wrap") for each in np.asarray(sums)]
-    return replace(mapping, table=table.shifted(np.angle(turned).astype(np.float64)), choice=None)
+        places = np.meshgrid(*[np.arange(mapping.table.cells) * (SHIFT_CELLS / mapping.table.cells)] * 2, indexing="ij")
+        turned = [map_coordinates(each, places, order=1, mode="grid-wrap") for each in np.asarray(sums)]
+        table = mapping.table.shifted(np.angle(turned).astype(np.float64))
+        judged = [corners[k] for k in (unseen if unseen.size else chosen)]
+        first, *others = threads.map(partial(sampled.sampled, table=table), judged)
+    return replace(mapping, table=table, choice=None, sample=sum(others, first))
 
 
 def _keeps_retardance(target_rad: FloatArray, table: SizeTable, rule: Literal["auto", "kept", "free"]) -> bool:

@@ -6,7 +6,7 @@ Sums over tiles (:class:`TileSums`) add up to those of the lens, which give its 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -67,6 +67,13 @@ class TileSums:
             _sum_of(self.among_square_error, other.among_square_error),
             tuple(one + two for one, two in zip(self.lights, other.lights, strict=True)),
         )
+
+    def with_light_of(self, sample: TileSums) -> TileSums:
+        """These sums with the light among neighbours that the pillars of a sample have on average."""
+        assert sample.among is not None
+        assert sample.among_square_error is not None
+        share = self.pillars / sample.pillars
+        return replace(self, among=share * sample.among, among_square_error=share * sample.among_square_error)
 
     def figures(self, library: Library, table: SizeTable, offsets_rad: Sequence[float]) -> MappingFigures:
         """Return the figures of the lens whose sums these are; the library gives the media and the angle.

@@ -59,6 +59,8 @@ class TileMapping:
     joint: JointSizes | None = None
     #: Chooses sizes for their light among neighbours, starting likewise; None to use the library's t alone.
     choice: NeighbourChoice | None = None
+    #: Sums of sampled tiles with the light among neighbours, where ``table`` was made from others by ``choice``.
+    sample: TileSums | None = None
     lights: LightChoice | None = None  #: Chooses sizes for several lights; None for the light of ``profile`` alone.
     outline: Outline = RECTANGLE  #: Outline of the pillars, for their gaps.
 
@@ -75,10 +77,7 @@ class TileMapping:
         if self.choice is not None:
             fields = self.choice.improve(sizes, target)
             tile, sums = self._tile(corner, inset, sizes, target)
-            core = np.s_[:, inset[0] : inset[0] + self.tile_sites, inset[1] : inset[1] + self.tile_sites]
-            among = np.array([field[core].sum(axis=(1, 2)) for field in fields])
-            square = [np.sum(np.angle(local_mean(field, sizes)[core]) ** 2 * (tile.size_index > 0)) for field in fields]
-            return tile, replace(sums, among=among, among_square_error=np.array(square))
+            return tile, self._among(sums, inset, sizes, fields)
         tile, sums = self._tile(corner, inset, sizes, target)
         if self.lights is not None and of_lights is not None:
             each = [
@@ -99,6 +98,31 @@ class TileMapping:
         inset = corner[0] - row, corner[1] - column
         core = np.s_[inset[0] : inset[0] + self.tile_sites, inset[1] : inset[1] + self.tile_sites]
         return self.choice.phase_shifts(sizes, target, core)
+
+    def sampled(self, corner: tuple[int, int], table: SizeTable) -> TileSums:
+        """Sums of the tile whose first site is ``corner`` with the sizes of ``table``, light among neighbours included.
+
+        ``table`` holds the sizes of :attr:`table`, which gives those for lone pillars.
+        """
+        assert self.choice is not None
+        row, column, target, lone, _ = self._window(corner)
+        inset = corner[0] - row, corner[1] - column
+        sizes = table.sizes_for(target[0], target[1]) * (lone > 0)
+        fields = (self.choice.reached(lone, target), self.choice.reached(sizes, target))
+        return self._among(self._tile(corner, inset, sizes, target)[1], inset, sizes, fields)
+
+    def _among(
+        self,
+        sums: TileSums,
+        inset: tuple[int, int],
+        sizes: SizeIndexArray,
+        fields: tuple[ComplexArray, ComplexArray],
+    ) -> TileSums:
+        """Add the sums of the fields over the target wave, before and after the choice among neighbours."""
+        core = np.s_[:, inset[0] : inset[0] + self.tile_sites, inset[1] : inset[1] + self.tile_sites]
+        among = np.array([field[core].sum(axis=(1, 2)) for field in fields])
+        square = [np.sum(np.angle(local_mean(field, sizes)[core]) ** 2 * (sizes[core[1:]] > 0)) for field in fields]
+        return replace(sums, among=among, among_square_error=np.array(square))
 
     def _window(self, corner: tuple[int, int]) -> tuple[int, int, FloatArray, SizeIndexArray, FloatArray | None]:
         """First row and column of a tile with its halo, targets, sizes by the look-up, and targets of all lights."""

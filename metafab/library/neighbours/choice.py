@@ -80,7 +80,12 @@ class NeighbourChoice:
                 before = reached
             error = local_mean(reached, size_index).imag.transpose(1, 2, 0)
             _move(size_index, slopes, lone, parts, error, self.place, self.grid, self.length_nm, self.width_nm)
-        return before, weight * (self.t[size_index].transpose(2, 0, 1) + self.tables.field(size_index))
+        return before, self.reached(size_index, target_rad)
+
+    def reached(self, size_index: IndexArray, target_rad: FloatArray) -> ComplexArray:
+        """Field over the target wave of the sizes of a window, shape (2, n_y, n_x); arguments as :meth:`improve`."""
+        weight = np.where(size_index > 0, np.exp(-1j * target_rad), 0.0)
+        return np.asarray(weight * (self.t[size_index].transpose(2, 0, 1) + self.tables.field(size_index)))
 
     def phase_shifts(self, size_index: IndexArray, target_rad: FloatArray, core: tuple[slice, slice]) -> ComplexArray:
         """Changes of t by :meth:`improve` of the sizes of a window, summed by the target phases of the pillars.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import product
@@ -161,7 +162,11 @@ def coupled_library(smooth_library: Library) -> Library:
 
 
 def test_sizes_chosen_among_neighbours_send_more_light_to_the_target(
-    tiny: Assignment, profile: PhaseProfile, coupled_library: Library, tiny_design: Design
+    tiny: Assignment,
+    profile: PhaseProfile,
+    coupled_library: Library,
+    tiny_design: Design,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     asked = replace(tiny_design, rules=replace(tiny_design.rules, neighbours=True))
     found = layout.assign(profile, coupled_library, replace(asked, numerics=Numerics(tile_sites=476)))
@@ -193,9 +198,19 @@ def test_sizes_chosen_among_neighbours_send_more_light_to_the_target(
     tiled = layout.assign(profile, coupled_library, asked)
     assert efficiency(tiled.pillars) == pytest.approx(figures.neighbour_efficiency, abs=5e-3)
     assert tiled.figures.neighbour_efficiency == pytest.approx(efficiency(tiled.pillars), rel=1e-3)
+    # By the table, from eight windows of the mask; eight others state its light.
+    monkeypatch.setattr(sys.modules[Assignment.__module__], "_WINDOW_SITES", 32)
     table = layout.assign(profile, coupled_library, replace(asked, rules=replace(asked.rules, neighbours="table")))
-    gains = [efficiency(each.pillars) - efficiency(tiny.pillars) for each in (table, tiled)]
-    assert gains[0] > gains[1] / 3.0
+    light, light_before = efficiency(table.pillars), efficiency(tiny.pillars)
+    assert light - light_before > (efficiency(tiled.pillars) - light_before) / 3.0
+    sampled = table.figures
+    assert sampled.pillars == figures.pillars
+    assert sampled.neighbour_efficiency == pytest.approx(light, abs=3e-3)
+    assert sampled.neighbour_efficiency_before == pytest.approx(light_before, abs=3e-3)
+    assert sampled.neighbour_efficiency > sampled.neighbour_efficiency_before
+    assert sampled.neighbour_phase_rms_error_before_rad == pytest.approx(
+        figures.neighbour_phase_rms_error_before_rad, rel=0.1
+    )
 
 
 @pytest.mark.parametrize("target_rad", [0.0, 0.4])
