@@ -72,7 +72,7 @@ def error_law(doubts: RowDoubts, errors: FloatArray) -> dict[str, float]:
 
     The powers, none below 0, are those of the least-squares plane through the logarithms. The slope is the prediction
     limit of the log-normal distribution from which the held-out rows are a sample: fewer rows give a larger one. Rows
-    of equal pillars, without correction, are left out.
+    of equal pillars, without correction, are left out. ValueError with fewer than three others.
 
     Args:
         doubts: predictors of the held-out rows.
@@ -81,16 +81,19 @@ def error_law(doubts: RowDoubts, errors: FloatArray) -> dict[str, float]:
     Returns:
         Fields of :class:`LineStatistics`.
     """
-    counts = doubts.correction > 0.0
-    most = max(1, int(np.count_nonzero(counts)) // _ROWS_A_POWER - 1)
+    counts = doubts.correction > _LEAST
+    rows = int(np.count_nonzero(counts))
+    if rows < 3:
+        raise ValueError(f"`doubts`: expected three held-out rows of unlike pillars or more, got {rows}")
+    most = max(1, rows // _ROWS_A_POWER - 1)
     names = ("correction", "bend", "gain", "resonance")[:most]
     error = np.log(errors[counts])
     logs = np.log(np.maximum(np.stack([getattr(doubts, name)[counts] for name in names], axis=1), _LEAST))
     middle = logs.mean(axis=0)
     power = lsq_linear(logs - middle, error - error.mean(), bounds=(0.0, np.inf)).x
     rest = error - logs @ power
-    free = error.size - len(names) - 1
-    spread = math.sqrt(float(np.sum((rest - rest.mean()) ** 2)) / free * (1.0 + (len(names) + 1) / error.size))
+    free = rows - len(names) - 1
+    spread = math.sqrt(float(np.sum((rest - rest.mean()) ** 2)) / free * (1.0 + (len(names) + 1) / rows))
     limit = float(rest.mean()) + float(student_t.isf(_UNSTATED, free)) * spread
     powers = {f"error_power_{name}": float(value) for name, value in zip(names, power, strict=True)}
     return {"error_slope": math.exp(limit), "error_power": 0.0, **powers}

@@ -167,6 +167,15 @@ def test_few_held_out_rows_state_enough() -> None:
         assert np.median(ratios) < most
 
 
+def test_a_stated_error_needs_three_rows_of_unlike_pillars() -> None:
+    doubts, errors = RowDoubts(*np.full((5, 4), 0.1)), np.array([0.01, 0.02, 0.03, 0.0])
+    doubts.correction[-1] = 1e-16  # equal pillars, to rounding
+    law = error_law(doubts, errors)
+    assert errors[:3].max() < doubts.stated_errors(LineStatistics(error_floor=0.0, **law))[0] < np.inf
+    with pytest.raises(ValueError, match="three held-out rows of unlike pillars or more, got 2"):
+        error_law(RowDoubts(*np.full((5, 2), 0.1)), errors[:2])
+
+
 def test_older_files_state_a_power_of_correction_times_step() -> None:
     doubts = RowDoubts(*np.array([[0.1], [0.5], [7.0], [7.0], [7.0]]))
     stated = doubts.stated_errors(LineStatistics(error_floor=0.01, error_slope=2.0, error_power=0.5))
