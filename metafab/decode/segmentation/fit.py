@@ -3,7 +3,7 @@
 At the right depth the filtered twins a and b of a texture are equal up to the contrast, and their residual is noise.
 Its square over the noise's variance, the null energy, is 1 in the mean. At a wrong depth, or where the blur of two
 depths mixes, it is larger. The noise is known, so that no other scale is needed but the calibration's own error, a
-share of the texture's energy that the segments' interiors show.
+share of the texture's energy that the segments' interiors show. Plain objects have structure along outlines alone.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance, nearest
-from metafab.decode.confidence import differs
-from metafab.decode.matching.cost_volume import CostVolume
-from metafab.decode.matching.depth import PixelDepth
+from metafab.decode.confidence import LARGEST_ERROR, differs
+from metafab.decode.matching.cost_volume import CostVolume, correlation
+from metafab.decode.matching.depth import PixelDepth, spline_peaks
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.matching.semi_global import cheapest_levels
-from metafab.decode.segmentation.planes import Plane
+from metafab.decode.segmentation.planes import Plane, cell_side
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.segments import Regions
+from metafab.decode.segmentation.segments import Regions, grown, segment_depth, with_error_of_straight
 
 #: Side of the window over which the null energy is averaged, frame pixels.
 _WINDOW_PX = 13
@@ -35,6 +35,11 @@ _LEAST_MODEL_ERROR = 1e-3
 #: leaves less than 2.5 in 99 of 100 pixels, and sharp edges in photographs a share of less than 0.04 in most.
 _FOREIGN, _FOREIGN_SHARE = 3.0, 0.06
 
+#: Distance from a plain object's outline up to which its depth is measured, frame pixels.
+_RIM_PX = 12.0
+#: Ratio of the jackknife's error to that of noise up to which an outline has one depth: it has 0.7 to 2 then, and 4
+#: with a third of it 30 % farther.
+_ONE_OUTLINE = 3.0
 #: Side of the window of the misfit that surfaces are found by, frame pixels, and its least value: less is chance.
 _SURFACE_WINDOW_PX, _LEAST_MISFIT = 15, 0.2
 #: Levels of vergence of a surface to a candidate depth.
@@ -160,6 +165,57 @@ def misfit_at(
         share = max(share, excess / max(textured, 1e-9))
     of_texture = null / np.maximum(energy, np.float32(1e-6))
     return Misfit(local.over_noise(share).astype(np.float32), of_texture.astype(np.float32), share)
+
+
+def with_plain_objects(regions: Regions, prepared: PreparedFrame, volume: CostVolume) -> Regions:
+    """Add the segments of plain objects, each at the depth of its outline.
+
+    An outline along one straight line, or of which parts are at different depths, gives none.
+    """
+    objects, step = prepared.plain_objects, prepared.downsampling.step
+    count = int(objects.max(initial=0))
+    if count == 0:
+        return regions
+    wide = np.where(prepared.lit, objects, grown(objects, _RIM_PX / step))
+    rim = np.where(distance(objects == 0) * step <= _RIM_PX, wide, 0).astype(np.int32)
+    light, depths = prepared.inner.sum(axis=0), list(regions.depths)
+    label, inside, full = regions.label.copy(), regions.interior.copy(), regions.grown.copy()
+    for number, sums in enumerate(volume.label_sums(rim, count), start=1):
+        mask = rim == number
+        pixels = float(mask.sum())
+        depth = with_error_of_straight(segment_depth(volume, sums, pixels), light, mask, volume.samples)
+        error = jackknife_error(volume, mask, sums, step)
+        if depth.error_factor > 1.0 or not error < min(LARGEST_ERROR, _ONE_OUTLINE * depth.relative_error):
+            continue
+        error = max(error, depth.relative_error)
+        depths.append(replace(depth, relative_error=error, pixels=pixels, of_outline=True))
+        for picture in (label, inside, full):
+            picture[objects == number] = len(depths)
+    return replace(regions, depths=tuple(depths), label=label, interior=inside, grown=full)
+
+
+def jackknife_error(volume: CostVolume, mask: NDArray[np.bool_], sums: FloatArray, step: int) -> float:
+    """Relative standard error of a segment's depth by the jackknife over its cells.
+
+    Args:
+        volume: cost volume.
+        mask: shape (n_y, n_x), pixels of the segment.
+        sums: shape (3, n_candidates), products summed over them.
+        step: frame pixels from one downsampled pixel to the next.
+
+    Returns:
+        The error; inf for a single cell, or if the depth leaves the calibrated range without one of them.
+    """
+    row, column = np.nonzero(mask)
+    side, cell = cell_side(step), np.zeros(mask.shape, dtype=np.int32)
+    numbers, index = np.unique(row // side * mask.shape[1] + column // side, return_inverse=True)
+    cell[row, column] = 1 + index
+    without = sums - volume.label_sums(cell, numbers.size)
+    peak = spline_peaks(correlation(without.swapaxes(0, 1)))
+    if numbers.size < 2 or not peak.inside.all():
+        return float("inf")
+    vergence = volume.vergences_per_m[0] + volume.step_per_m * peak.place
+    return float(np.sqrt((numbers.size - 1) * vergence.var()) / vergence.mean())
 
 
 def fitting_segments(

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label as connected_components
 from scipy.ndimage import maximum_filter
 
 from metafab.camera.frames.frame import RawFrame
@@ -24,6 +25,8 @@ WINDOW_PX = 28
 _FAINT = 0.01
 #: Distance from an outline up to which light of the other side is mixed in, frame pixels.
 _BLUR_PX = 12
+#: Least share of a plain object's pixels away from its outline that are plain.
+_PLAIN_SHARE = 0.99
 #: Deviations of the read noise, in the sum of both images, that are dark.
 _DARK_DEVIATIONS = 6.0
 #: Share of a surface's light at which its outline stands, next to the dark.
@@ -203,14 +206,40 @@ class PreparedFrame:
     @cached_property
     def plain(self) -> NDArray[np.bool_]:
         """Surfaces without texture and their outlines, where even a faint texture would show: shape (n_y, n_x)."""
+        # The windows of smooth pixels end before any other surface's light.
+        outline = 2 * (self.window // 2) + _BLUR_PX / self.downsampling.step
+        return np.asarray((distance(self._smooth_cores) <= outline) & self.lit)
+
+    @cached_property
+    def plain_objects(self) -> NDArray[np.int32]:
+        """Number from 1 of each plain surface in the dark, 0 elsewhere: shape (n_y, n_x).
+
+        Its pixels are connected, lie about one smooth core, and are plain but for those along the outline.
+        """
+        objects, count = np.zeros(self.lit.shape, dtype=np.int32), 0
+        if not self._smooth_cores.any():
+            return objects
+        component, _ = connected_components(self.lit)
+        cores, n_cores = connected_components(self._smooth_cores)
+        holder = np.zeros(n_cores + 1, dtype=np.int32)
+        holder[cores] = component
+        numbers, held = np.unique(holder[1:], return_counts=True)
+        deep = distance(~self.lit) > self.window // 2 + _BLUR_PX / self.downsampling.step
+        for number in numbers[held == 1].tolist():
+            mask = component == number
+            inner = self.plain[mask & deep]
+            if inner.size and inner.mean() >= _PLAIN_SHARE:
+                count += 1
+                objects[mask] = count
+        return objects
+
+    @cached_property
+    def _smooth_cores(self) -> NDArray[np.bool_]:
+        """Pixels farther than half a window from all windows with texture: shape (n_y, n_x)."""
         faint = (_FAINT * self.mean) ** 2
         would_show = (faint > self._least_texture).any(axis=0)
         smooth = self.lit & (self._texture < faint).all(axis=0) & would_show
-        reach = self.window // 2
-        core = distance(~smooth) > reach if not smooth.all() else smooth
-        # The windows of smooth pixels end before any other surface's light.
-        outline = 2 * reach + _BLUR_PX / self.downsampling.step
-        return np.asarray((distance(core) <= outline) & self.lit)
+        return distance(~smooth) > self.window // 2 if not smooth.all() else smooth
 
     @cached_property
     def _texture(self) -> NDArray[np.float32]:

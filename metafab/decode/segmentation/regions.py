@@ -26,6 +26,7 @@ from metafab.decode.segmentation.fit import (
     misfit_at,
     plane_misfit,
     surface_per_m,
+    with_plain_objects,
 )
 from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.outlines import ROUNDS
@@ -126,6 +127,7 @@ def near_texture(prepared: PreparedFrame) -> NDArray[np.bool_]:
     """
     reach = _OUTLINE_REACH_PX // prepared.downsampling.step
     textured = textured_components(prepared.lit, prepared.textured, reach)
+    textured &= prepared.plain_objects == 0
     return np.asarray((distance(textured) <= prepared.window // 2) & ~prepared.plain)
 
 
@@ -156,6 +158,7 @@ def find_regions(
         filters: matched filters, for the depth of segments much dimmer than others; without, it is not measured again.
     """
     regions = _find_regions(prepared, volume, pixels, known, outline_rounds, refined=refined)
+    regions = with_plain_objects(regions, prepared, volume)
     if not (regions.depths and refined):
         return regions
     if optics is not None and not regions.continuous:
@@ -471,6 +474,8 @@ def measured_again(volume: CostVolume, cells: Cells, before: SegmentDepth, pixel
         pixels: downsampled pixels of the segment.
         step: frame pixels from one downsampled pixel to the next.
     """
+    if before.of_outline:
+        return replace(before, pixels=pixels)
     factor = before.error_factor if pixels * step**2 < _NARROW_PX else 1.0
     measured = measured_depth(volume, cells, before.plane)
     if measured is None or not measured.relative_error * factor < LARGEST_ERROR:

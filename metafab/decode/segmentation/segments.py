@@ -56,6 +56,7 @@ class SegmentDepth:
     plane: Plane  #: Depth over the picture.
     pixels: float = 0.0  #: Downsampled pixels that the depth is measured on.
     error_factor: float = 1.0  #: Factor in ``relative_error`` for structure along one straight line.
+    of_outline: bool = False  #: Whether the depth is that of a plain surface's outline, which all of its pixels take.
 
 
 @dataclass(frozen=True)
