@@ -7,8 +7,8 @@ gives the number of shapes on their layers.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -153,40 +153,48 @@ def _beside(
     lattice = lattice_of(design)
     half_nm = 0.5 * np.array(lattice.shape[::-1]) * lattice.period_nm + REACH * range_nm
     rectangles = [np.empty((0, 4))]
-    drawn = dict(_drawn(design, np.array([here.x_dbu, here.y_dbu])))
+    drawn = _drawn(design, np.array([here.x_dbu, here.y_dbu]))
     for layer, count in back.other_layers.items():
         if layer.endswith(" text"):  # Texts of included cells draw nothing.
             continue
-        name, exposed, parts = drawn.pop(layer, ("", False, []))
-        if len(parts) != count:
-            listed.append(ShapesBeside(f"{layer} {name}".strip(), count, "not the design's"))
+        own = drawn.get(layer, _DrawnLayer())
+        if len(own.corners_dbu) != count:
+            listed.append(ShapesBeside(f"{layer} {own.description}".strip(), count, "not the design's"))
             continue
         near = np.empty(0, dtype=np.int64)
-        if exposed:
-            boxes = np.array([[*part.min(axis=0), *part.max(axis=0)] for part in parts]) * unit_nm
+        if own.is_exposed:
+            boxes = np.array([[*each.min(axis=0), *each.max(axis=0)] for each in own.corners_dbu]) * unit_nm
             near = np.flatnonzero((boxes[:, :2] < half_nm).all(axis=1) & (boxes[:, 2:] > -half_nm).all(axis=1))
-            rectangles += [strips(parts[number] * unit_nm, _STRIP_NM) for number in near.tolist()]
+            rectangles += [strips(own.corners_dbu[number] * unit_nm, _STRIP_NM) for number in near.tolist()]
         kept: Dose = "counted" if near.size else "out of reach"
-        listed.append(ShapesBeside(f"{layer} {name}", count, kept if exposed else "first exposure"))
+        listed.append(ShapesBeside(f"{layer} {own.description}", count, kept if own.is_exposed else "first exposure"))
     found = Beside(lenses, np.concatenate(rectangles), Outline.of(design))
     return (found if lenses or len(found.rectangles_nm) else None), tuple(listed)
 
 
-def _drawn(design: Design, axis_dbu: FloatArray) -> Iterator[tuple[str, tuple[str, bool, list[FloatArray]]]]:
-    """For each "layer/datatype": description, whether the beam writes it with the pillars, and corners of its shapes.
+@dataclass(frozen=True, eq=False)
+class _DrawnLayer:
+    """Shapes that the design draws beside its lenses, on one layer and datatype."""
 
-    Corners have the shape (n, 2), in database units from the axis of the lens.
-    """
+    description: str = ""  #: Source of the shapes.
+    is_exposed: bool = False  #: Whether the beam writes them with the pillars.
+    #: Corners of each shape, (n, 2), database units from the axis of the lens.
+    corners_dbu: list[FloatArray] = field(default_factory=list)
+
+
+def _drawn(design: Design, axis_dbu: FloatArray) -> dict[str, _DrawnLayer]:
+    """Shapes that the design draws beside its lenses, by "layer/datatype"."""
     around, cells = shapes_beside(design)
-    parts: dict[str, tuple[str, bool, list[FloatArray]]] = {}
+    parts: dict[str, _DrawnLayer] = {}
     unit = np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
     for one in around:
         shapes = list(one.rectangles[:, None, :2] + unit * one.rectangles[:, None, 2:] - axis_dbu)
-        parts[f"{one.layer}/0"] = (one.name, one.exposure == 2, shapes)
+        parts[f"{one.layer}/0"] = _DrawnLayer(one.name, one.exposure == 2, shapes)
     for cell in cells:
         for polygon in cell.polygons:
             name = f"{polygon.layer}/{polygon.datatype}"
-            parts.setdefault(name, (f"included from {cell.file}", True, []))[2].append(polygon.corners - axis_dbu)
+            part = parts.setdefault(name, _DrawnLayer(f"included from {cell.file}", True))
+            part.corners_dbu.append(polygon.corners - axis_dbu)
     process = None if design.process is None else design.process.exposure
     stated = None if process is None else process.with_layers
     layers = {name: int(name.split("/")[0]) for name in parts}
@@ -194,5 +202,6 @@ def _drawn(design: Design, axis_dbu: FloatArray) -> Iterator[tuple[str, tuple[st
         known = ", ".join(map(str, sorted(set(layers.values()))))
         expected = f"layers that the design draws beside its lenses: {known or 'it draws none'}"
         raise InputError.single(design.name, "process.exposure.with_layers", expected, ", ".join(map(str, unknown)))
-    for name, (description, exposed, shapes) in parts.items():
-        yield name, (description, exposed if stated is None else layers[name] in stated, shapes)
+    if stated is None:
+        return parts
+    return {name: replace(part, is_exposed=layers[name] in stated) for name, part in parts.items()}

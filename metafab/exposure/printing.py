@@ -4,9 +4,10 @@ Along the axis of a pillar through its edge, displaced outwards by s, the pillar
 
     S(s) = sum over Gaussians, weight / 2 [erf((w + s) / beta) - erf(s / beta)] erf(l / (2 beta)),
 
-which falls steeply, while the energy of all other pillars changes little over a few nanometres. Other outlines add up
-rectangles (:mod:`metafab.exposure.energy.shapes`). The printed edge lies at the s that solves dose S(s) = clearing
-energy - energy of the others, by a table of S for each size.
+with the pillar's width w and length l and the ranges beta. It falls steeply, while the energy of all other pillars
+changes little over a few nanometres. Other outlines add up rectangles (:mod:`metafab.exposure.energy.shapes`). The
+printed edge lies at the s that solves dose S(s) = clearing energy - energy of the others, by a table of S for each
+size.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from metafab.exposure.energy.shapes import Shapes
 
 #: Number of displacements in the table.
 _NODES = 161
-#: Displacement up to which their steps are even, nm.
+#: Displacement above which the steps of the table grow in proportion to it, nm.
 _EVEN_NM = 0.05
 #: Largest displacement, nm.
 _REACH_NM = 120.0
@@ -36,7 +37,7 @@ class EdgeTables:
     """Energy per unit dose of a pillar at its own edges."""
 
     displacement_nm: Float32Array  #: Shape (n_nodes,), ascending, 0 among them; positive outwards.
-    #: Shape (2, n_sizes, n_nodes), at the x and the y edges displaced; descending along the last axis.
+    #: Shape (2, n_sizes, n_nodes), at the displaced x and y edges; descending along the last axis.
     energy: Float32Array
     at_edge: Float32Array  #: Shape (2, n_sizes), at the drawn edges.
     slope_per_nm: Float32Array  #: Shape (2, n_sizes), decrease of energy per nm at the drawn edges, positive.

@@ -127,7 +127,7 @@ class Outline:
         return width, length
 
     def _ring_of(self, polygon: IntArray) -> tuple[int, int] | None:
-        """Outer diameter, twice, of the ring that a polygon is, wherever its slit lies; None for other shapes."""
+        """(outer diameter, outer diameter) of a ring with its slit anywhere; None for other shapes."""
         loops, circle = _loops(polygon), Outline("ellipse", self.database_unit_nm)
         sizes = sorted((circle.size_of(loop) or (0, 0) for loop in loops), reverse=True)
         centres = {tuple((loop.min(axis=0) + loop.max(axis=0)).tolist()) for loop in loops}

@@ -37,9 +37,9 @@ class Lattice:
     """A lattice centred on the optical axis: all sites of a rectangular grid, or every other one.
 
     A hexagonal lattice consists of the grid sites whose row and column are both even or both odd, like the squares of
-    one colour on a chessboard. The grid is half a period fine along x. Both kinds are thus rectangular arrays of sites,
-    and code that sums over pillars need not distinguish them. InputError for an odd period with an even number of
-    sites, which puts sites on half units.
+    one colour on a chessboard; the grid's pitch along x is half a period. Both kinds are thus rectangular arrays of
+    sites, and code that sums over pillars need not distinguish them. InputError for an odd period with an even number
+    of sites, which puts sites on half units.
     """
 
     period_dbu: tuple[int, int]  #: (x, y) pitch of the grid.
@@ -308,7 +308,7 @@ def resized(pillars: PillarMap, sizes_nm: Callable[[slice], FloatArray], step_db
 
 
 def _keys(size_index: NDArray[np.uint16], sizes_nm: FloatArray, step_nm: float, across: int) -> NDArray[np.int64]:
-    """One number for each rounded size, 0 without a pillar; sizes end at the unit cell."""
+    """One number for each rounded size, 0 without a pillar; larger sizes are cut to the unit cell."""
     stand = (size_index > 0) & np.isfinite(sizes_nm).all(axis=0)
     steps = np.rint(np.where(stand, sizes_nm, 0.0) / step_nm).astype(np.int64)
     steps = np.clip(steps, 0, across - 1)

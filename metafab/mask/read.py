@@ -102,9 +102,9 @@ def read(
     The file may be metafab's own or have been through other software: flat or hierarchical, with arrays and
     repetitions, mirrored or turned by right angles, renamed, in other units.
 
-    ``copy`` is a lens of ``mask.copies``, counted from 1; rectangles of the others are counted, and placed where
-    ``along`` has their number. A design with ``[process.exposure]`` reads the classes of its corrected mask, however
-    many the file has. ``known`` recognises pillars among shapes; by default those of the design's
+    ``copy`` is a lens of ``mask.copies``, counted from 1. Rectangles of the other lenses are counted; those of the
+    numbers ``along`` are read as pillars, too. A design with ``[process.exposure]`` reads the classes of its corrected
+    mask, however many the file has. ``known`` recognises pillars among shapes; by default those of the design's
     cross-section, upright. ``progress`` gets the number of indexed bytes and of read shapes.
 
     InputError if the file is missing, empty, truncated, damaged or of another kind, or holds far more shapes than the
@@ -164,7 +164,7 @@ def read_shapes(path: Path, design: Design, progress: Progress = silent, *, know
 def _open(
     path: Path, design: Design, progress: Progress, known: KnownShapes, *, skip_blocks: bool
 ) -> GdsiiReader | OasisReader:
-    """Index a file; one with the dose classes of a corrected mask a second time, with their datatypes as pillars."""
+    """Index a file. A corrected mask has more datatypes than its design: it is then indexed once more with these."""
     is_gdsii = format_of(path) == "gds"
 
     def opened(datatypes: tuple[int, int]) -> GdsiiReader | OasisReader:

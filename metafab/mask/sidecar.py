@@ -221,8 +221,20 @@ class MaskSums:
         return np.asarray(np.rint(2.0 * self._outline.area(size_dbu)), dtype=np.int64)
 
 
-def sidecar(design: Design, figures: MaskFigures, files: Mapping[str, Path]) -> dict[str, Any]:
-    """Return the contents of ``layout.json``: provenance, options, figures, and the bytes of each of the ``files``."""
+@dataclass(frozen=True)
+class WrittenMask:
+    """A mask that was written, with what its sidecar states."""
+
+    design: Design  #: The design that it was made from.
+    figures: MaskFigures  #: Counts and areas.
+    files: Mapping[str, Path]  #: The mask files by format, "gds" and "oas".
+
+    def to_json(self) -> dict[str, Any]:
+        """Contents of ``layout.json``: provenance, options, figures, and the bytes of each file."""
+        return _sidecar(self.design, self.figures, self.files)
+
+
+def _sidecar(design: Design, figures: MaskFigures, files: Mapping[str, Path]) -> dict[str, Any]:
     lattice, mask = lattice_of(design), design.mask
     options: dict[str, Any] = {}
     if mask.bias_nm:

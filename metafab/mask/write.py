@@ -7,7 +7,6 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +17,7 @@ from metafab.core.parallel.executor import default_workers
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import whole_file, write_json
 from metafab.layout import Lattice, PillarMap, PillarTile
+from metafab.layout.assign import Assignment
 from metafab.layout.geometry import whole_dbu
 from metafab.mask.drawing.cell_writer import Drawing, EncodedTile, MaskWriter, TileEncoder
 from metafab.mask.drawing.cells import top_name
@@ -27,7 +27,7 @@ from metafab.mask.drawing.include import shapes_beside
 from metafab.mask.drawing.stamps import Stamps
 from metafab.mask.gdsii.writer import GdsiiWriter, write_dose_datatypes
 from metafab.mask.oasis.writer import OasisWriter
-from metafab.mask.sidecar import MaskFigures, MaskSums, TileCount, layer_properties, sidecar
+from metafab.mask.sidecar import MaskFigures, MaskSums, TileCount, WrittenMask, layer_properties
 from metafab.spec import Design
 
 WRITERS: dict[str, type[MaskWriter]] = {"gds": GdsiiWriter, "oas": OasisWriter}
@@ -47,7 +47,7 @@ def write(
     directory: Path,
     design: Design,
     progress: Progress = silent,
-    mapping: Mapping[str, Any] | None = None,
+    mapping: Assignment | None = None,
     executor: Executor | None = None,
     dose_class: Sequence[NDArray[np.uint8]] = (),
     class_dose: FloatArray | None = None,
@@ -70,7 +70,7 @@ def write(
     Further arguments and errors are those of :func:`write_drawings`.
 
     Args:
-        mapping: figures of the mapping, for ``layout.json``.
+        mapping: choice of the pillars, whose figures go into ``layout.json``.
         class_dose: shape (classes,), dose of each class relative to the base dose; None if it is not known.
         dose_datatypes: whether ``doses.gds``, the mask with doses in thousandths as datatypes, is written; needs "gds"
             in ``mask.formats``.
@@ -84,8 +84,8 @@ def write(
     for name, text in texts.items():
         with whole_file(directory / name) as part:
             part.write_text(text, encoding="utf-8")
-    table = sidecar(design, figures, files)
-    write_json(directory / "layout.json", table if mapping is None else {**table, "mapping": dict(mapping)})
+    table = WrittenMask(design, figures, files).to_json()
+    write_json(directory / "layout.json", table if mapping is None else {**table, "mapping": mapping.to_json()})
     written = [*(path.name for path in files.values()), "layout.lyp", "layout.json", *sorted(tables)]
     if dose_datatypes:
         doses = datatype_doses(design, class_dose)

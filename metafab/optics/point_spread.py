@@ -52,24 +52,18 @@ class PsfDetails:
         """Share of the power at the aperture that is not transmitted, shape (2,)."""
         return tuple(1.0 - share for share in self.transmitted)
 
-    def power_figures(self) -> dict[str, float]:
-        """Return the power budget by its names in summaries: ``transmitted_x``, ``stray_x``, ``lost_x``, ..."""
-        figures = {}
-        for index, name in enumerate(POLARISATIONS[: len(self.transmitted)]):
-            figures[f"transmitted_{name}"] = self.transmitted[index]
-            figures[f"stray_{name}"] = self.stray[index]
-            figures[f"lost_{name}"] = self.lost[index]
-        return figures
-
     def figures(self) -> dict[str, float]:
         """Return all computed entries, flat, by their names in summaries and files."""
         computed: dict[str, float] = {
             "block_sites": float(self.block_sites),
             "blocks": float(self.blocks),
             "field_error": self.field_error,
-            **self.power_figures(),
-            "seconds": self.seconds,
         }
+        for index, name in enumerate(POLARISATIONS[: len(self.transmitted)]):
+            computed[f"transmitted_{name}"] = self.transmitted[index]
+            computed[f"stray_{name}"] = self.stray[index]
+            computed[f"lost_{name}"] = self.lost[index]
+        computed["seconds"] = self.seconds
         if self.filter_fwhm_nm is not None:
             computed["filter_fwhm_nm"] = self.filter_fwhm_nm
         if not math.isnan(self.field_interpolation_error):

@@ -75,9 +75,9 @@ def stokes_psf(
         window_px: points along a side of each window.
         work: threads, and progress over tiles and places.
     """
-    depth_m, focus = np.asarray(depths_m, dtype=np.float64), 1e-6 / target.focus_depth_m
+    depth_m, focus_per_um = np.asarray(depths_m, dtype=np.float64), 1e-6 / target.focus_depth_m
     targets_um = [(x, y, imaging.sensor_distance_um) for x, y in target.places_um.tolist()]
-    focused = [Ray(focus, (0.0, 0.0), target_um) for target_um in targets_um]
+    focused = [Ray(focus_per_um, (0.0, 0.0), target_um) for target_um in targets_um]
     carriers = [Carrier(entry, ray, _BLOCK_SITES) for ray in focused for entry in range(3)]
     pupils = reduce_field(source, carriers, imaging.wavenumber, work)
     k, lens_um = imaging.wavenumber, bounding_box(pupils)

@@ -23,8 +23,8 @@ _REMEDY = "export the stack as .npy of shape (depths, rows, columns) or (2, dept
 def read_stack(path: Path, depths: int, names: Sequence[str] = ()) -> FloatArray:
     """Read a stack of pictures over depth, of one or two channels: shape (channels, depths, rows, columns).
 
-    The axes may stand as (depths, rows, columns), as (rows, columns, depths), or either with an axis of two channels on
-    the outer or inner side of the depths. If a shape fits several, the last axis is the depth in a MATLAB file and the
+    The axes may stand as (depths, rows, columns) or (rows, columns, depths); an axis of two channels may stand before
+    or after the depths. If a shape fits several, the last axis is the depth in a MATLAB file and the
     first in all others. Rows are in the file's order.
 
     Args:

@@ -106,14 +106,20 @@ def write_layout(job: Job) -> LayoutFigures:
             job.design,
             executor=executor,
             progress=progress,
-            mapping=assignment.to_json(),
+            mapping=assignment,
         )
     _require_rules_of_copies(job)
-    files = [FileFigures(file.path.name, file.bytes) for file in written]
-    figures = {**assignment.to_json(), "files": files}
+    time = None
     if job.design.mask.exposure is not None:
-        figures["write_time"] = json.loads((job.folder / "layout.json").read_text(encoding="utf-8"))["exposure"]
-    return typed(LayoutFigures, figures)
+        time = typed(WriteTime, json.loads((job.folder / "layout.json").read_text(encoding="utf-8"))["exposure"])
+    return LayoutFigures(
+        **vars(assignment.figures),
+        offsets_rad=assignment.offsets_rad,
+        files=tuple(FileFigures(file.path.name, file.bytes) for file in written),
+        gap_rule_each=assignment.gap_rule_each,
+        lights=assignment.lights or None,
+        write_time=time,
+    )
 
 
 def light_targets(job: Job) -> list[LightTarget]:

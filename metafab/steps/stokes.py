@@ -24,6 +24,7 @@ from metafab.steps.preflight import preflight
 if TYPE_CHECKING:
     from metafab.camera.stokes import StokesFrame
     from metafab.decode.stokes import StokesErrors, StokesImage
+    from metafab.mask.sidecar import WrittenMask
 
 
 @dataclass(frozen=True)
@@ -43,12 +44,12 @@ class StokesRun:
     ideal_efficiency: FloatArray  #: Shape (6,), efficiency of perfect pillars.
     condition_number: float  #: Condition number of the instrument matrix.
     files: tuple[FileFigures, ...]  #: The mask files.
-    mask: dict[str, Any]  #: Provenance, counts and areas of the mask, as in ``layout.json``.
+    mask: WrittenMask  #: The mask; in JSON as in ``layout.json``.
 
     def to_json(self) -> dict[str, Any]:
         """Contents of ``stokes.json``: all attributes but frame and image, the errors among them."""
         figures = {name: value for name, value in vars(self).items() if name not in {"frame", "image", "errors"}}
-        return {**figures, **asdict(self.errors)}
+        return {**figures, "mask": self.mask.to_json(), **asdict(self.errors)}
 
 
 def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: float) -> StokesRun:
@@ -67,7 +68,7 @@ def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: fl
     from metafab.camera.stokes import photograph
     from metafab.decode.stokes import decode_stokes, stokes_errors
     from metafab.layout.turned import assign_turned
-    from metafab.mask.sidecar import sidecar
+    from metafab.mask.sidecar import WrittenMask
     from metafab.mask.write import write_drawings
     from metafab.optics.polarisation_states import stokes_psf
     from metafab.phase.jones_target import JonesTarget
@@ -106,7 +107,7 @@ def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: fl
         ideal_efficiency=ideal.efficiency,
         condition_number=float(np.linalg.cond(psf.instrument)),
         files=tuple(FileFigures(path.name, path.stat().st_size) for path in files.values()),
-        mask=sidecar(design, mask_figures, files),
+        mask=WrittenMask(design, mask_figures, files),
     )
     write_json(job.folder / "stokes.json", run.to_json())
     return run

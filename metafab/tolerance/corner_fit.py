@@ -7,8 +7,8 @@ its phase and power smoothly:
 
 with polynomials p (complex), q, r, u and v (real) of the sizes. A resonance that moves by more than its width needs the
 shift inside t: by an expansion linear in q and r, the paper's cell with walls of 88 degrees was off by 0.2 to 0.3 of
-the field. Beyond the library's sweep t is that of its model: with the value at the end of the sweep, the sample's sizes
-there miss the resonances, and one of them made the stated error 0.13 where the true one was 0.024.
+the field. Beyond the library's sweep, t is continued by the library's model. The value at the end of the sweep, used
+instead, misses resonances: one size of a sample then made the stated error 0.13, where the true one was 0.024.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ _SHIFT_DEGREE, _DEGREE = 2, 1
 #: Prior of the fit: a coefficient of 1 nm, or of 1 in the logarithm, costs as much as this error of the field. It keeps
 #: coefficients small that the sample leaves open.
 _SHIFT_WEIGHT, _LOG_WEIGHT = 0.002, 0.02
-#: Share of the sweep by which the library's model is continued on either side. In the paper's cell, 14 solved sizes at
-#: each distance below/above a sweep of 150 nm differ from it by 0.0005/0.002 of the field at 4 nm, 0.004/0.02 at 8 nm,
-#: 0.01/0.03 at 12 nm and 0.12/0.16 at 16 nm; the surface at the end of the sweep does by 0.16/0.14 at 4 nm.
+#: Share of the sweep by which the library's model is continued on either side. Its error in the paper's cell, from 14
+#: solved sizes at each distance below/above a sweep of 150 nm: 0.0005/0.002 of the field at 4 nm, 0.004/0.02 at 8 nm,
+#: 0.01/0.03 at 12 nm and 0.12/0.16 at 16 nm. The value at the end of the sweep errs by 0.16/0.14 at 4 nm.
 _BEYOND = 0.08
 #: Half of the step of the numerical derivatives of the library's surface (nm), and most evaluations of the fit.
 _HALF_STEP_NM, _EVALUATIONS = 0.5, 30
@@ -56,7 +56,8 @@ def fitted_amplitudes(
         size_nm: shape (n, 2), width and length.
         sample: indices of the sizes whose change is solved.
         changed: shape (n_sample, 2), their amplitudes at the corner for x and y polarisation.
-        groups: polarisations, 0 and 1, that share a fit along and across themselves.
+        groups: polarisations, 0 and 1, of each fit; those of one group share its coefficients, which refer to the sides
+            along and across the polarisation.
     """
     fitted, missed = np.empty(size_nm.shape, dtype=np.complex128), []
     for group in groups:
@@ -85,13 +86,13 @@ _COUNTS = (_terms(_SHIFT_DEGREE),) * 2 + (_terms(_DEGREE),) * 4
 _WEIGHTS = np.repeat([_SHIFT_WEIGHT] * 4 + [_LOG_WEIGHT] * 2, _COUNTS)
 
 
-def _left_out(misfit: FloatArray, jacobian: FloatArray, sizes: int, each: int) -> FloatArray:
-    """Misfit of each size by the fit to all others, linear in the coefficients: ``each`` rows a size."""
+def _left_out(misfit: FloatArray, jacobian: FloatArray, sizes: int, size_rows: int) -> FloatArray:
+    """Leave-one-out misfit of each size, to first order in the coefficients; ``size_rows`` rows belong to a size."""
     projected = jacobian @ np.linalg.pinv(jacobian)
     missed = []
-    for first in range(0, sizes * each, each):
-        rows = slice(first, first + each)
-        missed.append(np.linalg.lstsq(np.eye(each) - projected[rows, rows], misfit[rows], rcond=1e-6)[0])
+    for first in range(0, sizes * size_rows, size_rows):
+        rows = slice(first, first + size_rows)
+        missed.append(np.linalg.lstsq(np.eye(size_rows) - projected[rows, rows], misfit[rows], rcond=1e-6)[0])
     return np.concatenate(missed)
 
 

@@ -22,7 +22,7 @@ from metafab.cell import PillarCell
 from metafab.cell.curved import is_treated
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.progress import Progress, silent
-from metafab.library.axes import CornerBox, corner_cell
+from metafab.library.axes import Corner, CornerBox, corner_cell
 from metafab.library.library import Library
 from metafab.library.use.any_size import (
     SOLVER_ERROR,
@@ -82,7 +82,7 @@ def corner_fields(
 def fields_at(
     written: WrittenField,
     library: Library,
-    corners: Sequence[tuple[str, Mapping[str, float]]],
+    corners: Sequence[tuple[str, Corner]],
     *,
     executor: Executor | None = None,
     progress: Progress = silent,
@@ -182,7 +182,7 @@ class MaskSizes:
         mirror = np.array([place.get((length, width), index.size) for width, length in size_nm.tolist()])
         return cls(index, size_nm, count, np.stack([stored.t_xx, stored.t_yy], axis=1), np.sort(chosen), mirror)
 
-    def tasks(self, library: Library, plan: _Plan, corner: Mapping[str, float]) -> list[tuple[PillarCell, int]]:
+    def tasks(self, library: Library, plan: _Plan, corner: Corner) -> list[tuple[PillarCell, int]]:
         """Cells of a plan at a corner, each with its number of slices."""
         return [
             (_cell(library, width_nm, length_nm, corner), slices)
@@ -195,7 +195,7 @@ class MaskSizes:
         written: WrittenField,
         library: Library,
         name: str,
-        corner: Mapping[str, float],
+        corner: Corner,
         plan: _Plan,
         before: ComplexArray,
         after: ComplexArray,
@@ -257,7 +257,7 @@ class MaskSizes:
         t[solved] = after
         return t, self._rms(error)
 
-    def _solved_error(self, library: Library, corner: Mapping[str, float], after: ComplexArray) -> float:
+    def _solved_error(self, library: Library, corner: Corner, after: ComplexArray) -> float:
         """Error of the ratio of two solutions of a size, with and without a change.
 
         Ratios by spectral elements were off by at most 8e-5 in 24 circles and rings of two materials. Crosses and
@@ -279,12 +279,12 @@ class MaskSizes:
         return fitted_amplitudes(library, self.size_nm, self.sample, changed, groups)
 
 
-def _cell(library: Library, width_nm: float, length_nm: float, corner: Mapping[str, float]) -> PillarCell:
+def _cell(library: Library, width_nm: float, length_nm: float, corner: Corner) -> PillarCell:
     """Cell of a pillar at a corner; axes that it does not name, such as the angle, have the library's values."""
     return corner_cell(library.unit_cell, width_nm, length_nm, {**library.corner, **corner})
 
 
-def _plan(sizes: MaskSizes, library: Library, corner: Mapping[str, float]) -> _Plan:
+def _plan(sizes: MaskSizes, library: Library, corner: Corner) -> _Plan:
     """Sizes of the mask that must be solved at a corner."""
     if _in_library(library, corner):
         return _Plan()
@@ -299,7 +299,7 @@ def _plan(sizes: MaskSizes, library: Library, corner: Mapping[str, float]) -> _P
     return _Plan(outside[sizes.mirror[outside] >= outside] if swaps_polarisations(library) else outside)
 
 
-def _in_library(library: Library, corner: Mapping[str, float]) -> bool:
+def _in_library(library: Library, corner: Corner) -> bool:
     """Whether the corner lies within the axes of the library."""
     box = CornerBox.of(library.unit_cell)
     if box is None or library.corners is None:

@@ -1,6 +1,6 @@
 """Raw frames in memory and in files.
 
 - ``frame``    RawFrame and Truth, raw.h5
-- ``batch``    frames of many seeds and scenes in one file, for learners
+- ``batch``    training data: frames of many seeds and scenes in one file
 - ``foreign``  TIFF, PNG and NumPy files of real cameras
 """

@@ -1,4 +1,4 @@
-"""Frames for learners in one HDF5 file: raw frames of scenes with their truth, their seeds, and the PSF pair."""
+"""Training data in one HDF5 file: raw frames of scenes with their truth, their seeds, and the PSF pair."""
 
 from __future__ import annotations
 

@@ -51,10 +51,11 @@ class Window:
 
 
 def shifts_px_m(aperture_um: FloatArray | None, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
-    """Shift of outlines as seen from each point of the aperture, on a grid of directions, shape (n_y, n_x) each.
+    """Parallax: shift (columns, rows) of an outline seen from points of the aperture, pixels for each 1/m.
 
-    Aperture points have the shape (n, 2), None for a pinhole; shifts too, (columns, rows) for each 1/m between the
-    vergences of two surfaces, (0, 0) for a pinhole.
+    The shift is proportional to the difference in vergence (1/m) of the surfaces before and behind the outline.
+    ``aperture_um`` and the result have the shape (n, 2); a pinhole (None) has one point without shift. The grid of
+    directions, shape (n_y, n_x) each, gives the angle of a pixel.
     """
     if aperture_um is None:
         return PINHOLE
@@ -63,7 +64,7 @@ def shifts_px_m(aperture_um: FloatArray | None, tangent_x: FloatArray, tangent_y
 
 
 def sensor_windows(scene: Scene, psf: Psf, image_map: ImageMap) -> tuple[Window, Window]:
-    """The x polarisation's window of ``field_px`` pixels about the axis, and the window that holds its twin.
+    """The x polarisation's window of ``field_px`` pixels about the axis, and the y polarisation's of the same field.
 
     Images that overlap raise InputError.
     """

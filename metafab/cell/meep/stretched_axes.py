@@ -70,7 +70,7 @@ class Axis:
 def lateral_axis(pixels: int, inside: int, size: float, period: float, pixel: float) -> Axis:
     """An axis across the pillar, symmetric about 0; sizes in the unit of ``pixel``, the grid spacing.
 
-    The period has ``pixels``, an even number; the pillar ``inside``, even, 0 for none, ``pixels`` for a film.
+    ``pixels`` of the period and ``inside`` the pillar are even numbers; 0 inside for no pillar, ``pixels`` for a film.
     """
     half = pixels / 2.0
     if inside in {0, pixels}:

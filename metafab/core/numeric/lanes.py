@@ -25,7 +25,7 @@ LANES = 8
 #: Numbers of one element of a lane array.
 ELEMENT = 2 * LANES
 
-#: Numba's helpers that write loops and variables; it types some of them.
+#: Numba's helpers that write loops and variables; some of them lack type annotations.
 _CODE: Any = cgutils
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 #: Lets a processor that can do so round a product and a sum once.
@@ -34,7 +34,7 @@ _FUSED = ("contract",)
 
 @compiled
 def lane_array(count: int) -> FloatArray:
-    """Lane array of ``count`` elements, shape (ELEMENT count,), 0, that begins with a cache line."""
+    """Lane array of ``count`` zeros, shape (ELEMENT count,), aligned to a cache line."""
     numbers = np.zeros(count * ELEMENT + LANES)
     first = (-(numbers.ctypes.data // 8)) % LANES
     return numbers[first : first + count * ELEMENT]

@@ -44,7 +44,9 @@ def convolved(one: NDArray[np.floating[Any]], other: NDArray[np.floating[Any]]) 
 
 
 def independent_samples(weight: NDArray[np.floating[Any]], size: tuple[int, int]) -> tuple[float, float]:
-    """Return the independent samples per pixel of filtered white noise, and its variance over that of the noise.
+    """Return the independent samples per pixel of filtered white noise, and the variance that the filter leaves.
+
+    The variance is relative to that of the white noise.
 
     Args:
         weight: shape (rows, columns // 2 + 1), amplitude of the filter on the half plane of a real transform.

@@ -48,7 +48,7 @@ class SharpImages:
     """All-in-focus images."""
 
     images: NDArray[np.float32]  #: Shape (2, n_y, n_x), electrons.
-    #: Shape (2, n_y, n_x), variance of a pixel per variance of the frame's pixels about it.
+    #: Shape (2, n_y, n_x), variance of a pixel over that of the frame's pixels around it.
     noise_gain: NDArray[np.float32]
 
     def within(self, rows: slice, columns: slice) -> SharpImages:
@@ -180,7 +180,7 @@ class Deconvolver:
         pairs: list[tuple[int, int]],
         transfers: list[NDArray[np.complex64]],
     ) -> dict[tuple[int, int], NDArray[np.float32]]:
-        """Fill in the broken pixels of the tiles and take the highlights about them off; see :func:`separated`.
+        """Fill in the broken pixels of the tiles and subtract the highlights around them; see :func:`separated`.
 
         Returns:
             Sharp light of the highlights in the core of each (tile, image) that has some, shape ``core``.
@@ -212,7 +212,7 @@ class Deconvolver:
                     light += found.light
             return light[core] if light.any() else None
 
-        # The depths of a tile follow each other: each takes its highlights off what the others left.
+        # The depths of a tile are treated in turn: each subtracts its highlights from what the earlier ones left.
         jobs = [(tile, image) for tile in of_tiles for image in range(2)]
         with kept_threads() as pool:
             found = zip(jobs, pool.map(separate, jobs), strict=True)

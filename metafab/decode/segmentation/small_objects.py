@@ -4,8 +4,8 @@ An object's light is left in the surface's null channel (:mod:`metafab.decode.se
 a rectangle of even light, of a contrast of its own. Depth, place and size maximise its evidence by ascent, first in
 coarse steps. The evidence falls for rectangles that are too large as well as for those that are too small. Blobs whose
 light no rectangle explains are rejected. Depth and rectangle of the others, and the error that decides whether they
-have a depth, follow from a model of both images with occlusion (:mod:`metafab.decode.segmentation.object_fit`): in the
-null channel, 20 px before a surface may fit two depths that the model tells apart.
+have a depth, follow from a model of both images with occlusion (:mod:`metafab.decode.segmentation.object_fit`): an
+object of 20 px may fit two depths in the null channel, and one in the model.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Largest side of a blob that is searched, downsampled pixels: larger objects have segments.
 _LARGEST_BLOB = 36
-#: Fewest downsampled pixels of a blob, as windows and blur make it wide even for a small object, and the misfit that
-#: one of them has at least.
+#: Fewest downsampled pixels of a blob, and the misfit that at least one of them needs: windows and blur widen the blob
+#: of even a small object.
 _FEWEST, _PEAK_MISFIT = 40, 6.0
 #: Least distance of a blob from the border of the picture, half the misfit's window, downsampled pixels: its light may
 #: be that from beyond the border.
@@ -55,11 +55,11 @@ _SWEEPS, _LEAST_HALF = 5, 0.6
 _HALO = 4.0
 #: Evidence over that of no object, and over that of light at the surface's own depth, that an object needs.
 _LEAST_EVIDENCE, _LEAST_MARGIN = 60.0, 20.0
-#: Mean energy over that of noise that an object leaves in its blob at most: true ones left 0.8 to 1.8, light of other
-#: causes 40 or more.
+#: Largest mean energy, over that of noise, that is left in a blob without its object: true objects left 0.8 to 1.8,
+#: light of other causes 40 or more.
 _LEFT = 3.0
-#: Factors of the least evidence and of the energy left (at the middle candidate, and at the best one) by which coarse
-#: steps may miss them. The coarse steps of 13 objects found left 4.5 and 3.6 at most.
+#: Limits of the coarse search over those above: of the evidence, and of the energy left at the middle candidate and at
+#: the best one. The coarse steps of 13 objects found left 4.5 and 3.6 at most.
 _COARSE_EVIDENCE, _COARSE_LEFT = 0.5, (2.0, 1.5)
 #: Relative difference of depths of one surface, and rounds in which a rectangle's light settles.
 _ONE_SURFACE, _LIGHT_ROUNDS = 0.02, 3
@@ -86,7 +86,7 @@ def small_objects(
     foreign: NDArray[np.bool_],
     misfit: NDArray[np.float32],
 ) -> list[SmallObject]:
-    """Search the small objects behind light that does not fit its segment's depth.
+    """Find the small objects whose light does not fit the depth of its segment.
 
     Args:
         prepared: the frame.
@@ -174,7 +174,7 @@ class _Search:
         inside = tuple(slice(int(f), int(f) + n) for f, n in zip(first, size, strict=True))
         ascent = _Ascent(RectangleEvidence(channel), limits, np.linspace(nearest, largest, _CANDIDATES), surface_per_m)
         even, (evidence, vergence, rectangle) = np.ones(2), ascent.begun(start)
-        # From the middle of the depths: the best one in the null channel may lie 45 % off, at their near end.
+        # The fit starts at the middle candidate: the depth of most evidence may be the nearest one, 45 % off.
         begun = float(ascent.candidates[_CANDIDATES // 2])
         fit = ObjectStart(middle, max(size), surface_per_m, level_e, begun, rectangle - _ORIGIN)
         search = cls(at, weight > 0.0, inside, ascent, fit)
@@ -199,10 +199,10 @@ class _Search:
         evidence = evidence_of.at(vergence, rectangle, light)
         if evidence < _LEAST_EVIDENCE:
             return None
-        beside, _ = ascent.over_sides(ascent.surface_per_m, rectangle, light, (1.0,))
+        at_surface, _ = ascent.over_sides(ascent.surface_per_m, rectangle, light, (1.0,))
         energy = self._energy(vergence, rectangle, light)
         mask = evidence_of.cover(rectangle)[self.inside] > 0.5
-        if evidence - beside < _LEAST_MARGIN or energy[self.own].mean() > _LEFT or not mask.any():
+        if evidence - at_surface < _LEAST_MARGIN or energy[self.own].mean() > _LEFT or not mask.any():
             return None
         return SmallObject(vergence, fitted.relative_error, evidence, mask, energy, self.at)
 

@@ -67,8 +67,8 @@ class RowDoubts:
         return np.asarray(statistics.error_floor + statistics.error_slope * law)
 
 
-def error_law(doubts: RowDoubts, errors: FloatArray) -> dict[str, float]:
-    """Slope and powers of a stated error that the next row exceeds with the chance ``_UNSTATED``.
+def error_law(doubts: RowDoubts, errors: FloatArray, floor: float = 0.0) -> LineStatistics:
+    """Floor, slope and powers of a stated error that the next row exceeds with the chance ``_UNSTATED``.
 
     The powers, none below 0, are those of the least-squares plane through the logarithms. The slope is the prediction
     limit of the log-normal distribution from which the held-out rows are a sample: fewer rows give a larger one. Rows
@@ -77,9 +77,7 @@ def error_law(doubts: RowDoubts, errors: FloatArray) -> dict[str, float]:
     Args:
         doubts: predictors of the held-out rows.
         errors: their relative errors, shape (rows,).
-
-    Returns:
-        Fields of :class:`LineStatistics`.
+        floor: smallest stated error.
     """
     counts = doubts.correction > _LEAST
     rows = int(np.count_nonzero(counts))
@@ -95,5 +93,13 @@ def error_law(doubts: RowDoubts, errors: FloatArray) -> dict[str, float]:
     free = rows - len(names) - 1
     spread = math.sqrt(float(np.sum((rest - rest.mean()) ** 2)) / free * (1.0 + (len(names) + 1) / rows))
     limit = float(rest.mean()) + float(student_t.isf(_UNSTATED, free)) * spread
-    powers = {f"error_power_{name}": float(value) for name, value in zip(names, power, strict=True)}
-    return {"error_slope": math.exp(limit), "error_power": 0.0, **powers}
+    powers = dict(zip(names, power.tolist(), strict=True))
+    return LineStatistics(
+        error_floor=floor,
+        error_slope=math.exp(limit),
+        error_power=0.0,
+        error_power_correction=powers["correction"],
+        error_power_bend=powers.get("bend", 0.0),
+        error_power_gain=powers.get("gain", 0.0),
+        error_power_resonance=powers.get("resonance", 0.0),
+    )

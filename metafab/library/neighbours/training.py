@@ -258,7 +258,6 @@ def _measured(plan: _Plan, model: LineModel) -> LineStatistics:
     unlike = _row_sets(sampler, answers, [number for number in held if not is_steady(number)])
     errors_alike, errors_unlike = ([rows.errors(model) for rows in sets] for sets in (alike, unlike))
     errors = np.concatenate([*errors_alike, *errors_unlike])
-    law = error_law(_doubts((*alike, *unlike), model), errors)
     checked = []
     for number in held[:_CHECKED_ROWS]:
         fine, coarse = (
@@ -267,7 +266,8 @@ def _measured(plan: _Plan, model: LineModel) -> LineStatistics:
         )
         checked.append(np.linalg.norm(fine - coarse) / np.linalg.norm(fine))
     solver_error = _rms([np.array(checked)])
-    return LineStatistics(
+    return replace(
+        error_law(_doubts((*alike, *unlike), model), errors, floor=solver_error),
         rows=sum(len(rows.size_nm) for rows in fitted),
         held_out=len(held),
         local_period_error=_rms([rows.errors(None) for rows in (*alike, *unlike)]),
@@ -277,8 +277,6 @@ def _measured(plan: _Plan, model: LineModel) -> LineStatistics:
         error_p90=float(np.quantile(np.concatenate(errors_alike), 0.9)),
         error_fitted=_rms([rows.errors(model) for rows in fitted]),
         solver_error=solver_error,
-        error_floor=solver_error,
-        **law,
     )
 
 

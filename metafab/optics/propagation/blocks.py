@@ -25,11 +25,12 @@ _FIRST_BLOCKS = 180
 _FEWEST_BLOCKS = 8
 #: Largest phase error of the path expansion inside a block.
 _EXPANSION_ERROR_RAD = 1e-4
-#: Blocks are not tried if the phase at their edges differs by more between the window's centre and edge.
+#: Largest phase from a block's middle to its edge, for light to the window's edge; larger blocks are not tried.
 _LARGEST_EDGE_PHASE_RAD = 1.0
-#: Larger errors are not estimated reliably where few blocks are lit, and smaller ones cost next to nothing.
+#: Largest target error that is used: estimates of larger ones are unreliable where few blocks are lit, and this one
+#: costs next to nothing.
 _COARSEST_TARGET = 1e-2
-#: Windows whose errors are estimated at once, while earlier ones may decide.
+#: Errors that are estimated side by side; those after the first that is too large are discarded.
 _AHEAD = 4
 #: Limit of scratch in memory or on disk: a polarisation takes 75 bytes per block, coarser blocks included.
 MOST_BLOCKS = 20_000_000

@@ -100,12 +100,14 @@ class Pupil:
         """Return blocks of twice the side, each the sum of four."""
         step_x, step_y = self.block_um
         x_um, y_um = self.x_um[::2] + 0.5 * step_x, self.y_um[::2] + 0.5 * step_y
+        sums, power = _zero_sums(y_um.size, x_um.size)
         coarse = replace(
             self,
             carrier=replace(self.carrier, block_sites=2 * self.carrier.block_sites),
             x_um=x_um,
             y_um=y_um,
-            **_zero_sums(y_um.size, x_um.size),
+            sums=sums,
+            power=power,
         )
         # Each of the four lies half a fine step from their common centre: low for even, high for odd rows.
         offset_x = 0.5 * step_x * (2.0 * (np.arange(self.x_um.size) % 2) - 1.0)
@@ -130,10 +132,10 @@ class Pupil:
         return total * self.cell_um2
 
 
-def _zero_sums(n_y: int, n_x: int) -> dict[str, Any]:
-    """Arrays of a pupil without light; large ones are in a file."""
+def _zero_sums(n_y: int, n_x: int) -> tuple[NDArray[np.complex128], NDArray[np.float64]]:
+    """``sums`` and ``power`` of a pupil without light; large ones are in a file."""
     sums = scratch((3, n_y, n_x), np.complex128, _IN_MEMORY_BYTES)
-    return {"sums": sums, "power": scratch((n_y, n_x), np.float64, _IN_MEMORY_BYTES)}
+    return sums, scratch((n_y, n_x), np.float64, _IN_MEMORY_BYTES)
 
 
 def _sum_of_four(values: Any) -> Any:
@@ -178,7 +180,7 @@ def _empty_pupil(carrier: Carrier, wavenumber: float, lattice: Lattice) -> Pupil
     centre_x = x_um[0] + pitch_x * (block * np.arange(n_x) + 0.5 * (block - 1))
     centre_y = y_um[0] + pitch_y * (block * np.arange(n_y) + 0.5 * (block - 1))
     empty = _zero_sums(n_y, n_x)
-    return Pupil(carrier, wavenumber, (pitch_x, pitch_y), lattice.cell_um2, centre_x, centre_y, **empty)
+    return Pupil(carrier, wavenumber, (pitch_x, pitch_y), lattice.cell_um2, centre_x, centre_y, *empty)
 
 
 def _add_tile(pupil: Pupil, tile: FieldTile) -> None:

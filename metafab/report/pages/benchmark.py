@@ -55,7 +55,7 @@ def benchmark_page(rows: Sequence[BenchmarkRow], directory: Path) -> tuple[Path,
 
 
 def _judged(path: Path, row: BenchmarkRow) -> str:
-    """Picture of a row's view under its weakness."""
+    """Picture of a row's view, titled with the weakness that its case measures."""
     if row.view is None:
         return ""
     title = f"{row.name.partition(':')[0]}: {row.weakness}"

@@ -56,8 +56,8 @@ class ExposureProcess(Checked):
     #: Contrast of the resist: its height grows from none to all over a factor of 10^(1 / contrast) in energy, with half
     #: of it at the clearing energy; without the key the walls are upright.
     contrast: Annotated[float, Field(strict=True, ge=0.5, le=100.0)] | None = None
-    #: Layers beside that of the pillars which the beam writes with them, at the base dose; without the key all but
-    #: alignment marks, windows and the shapes of the first exposure.
+    #: Layers other than the pillars' that the beam writes in the same exposure, at the base dose; without the key all
+    #: but alignment marks, windows and the shapes of the first exposure.
     with_layers: tuple[Index, ...] | None = None
     #: Whether a correction gives each pillar one of some doses, or changes the drawn sizes, for tools with one dose.
     correction: Literal["dose", "shape"] = "dose"
@@ -75,7 +75,7 @@ class ExposureProcess(Checked):
 
 @dataclass(frozen=True, config=CONFIG)
 class Etch:
-    """Dry etch (``[process.etch]``): made less printed pillars."""
+    """Dry etch (``[process.etch]``): difference between made and printed pillars."""
 
     bias_nm: Real = 0.0  #: Change of width and length at the mean density.
     microloading_nm: Real = 0.0  #: Further change where the local density is larger by 1.

@@ -47,7 +47,7 @@ class LightsFigures:
 
 
 def _light_path(job: Job, light: Light) -> Path:
-    angles = "".join(f"_{axis[6]}{angle:.12g}deg" for axis, angle in light.angles_deg.items())
+    angles = "".join(f"_{axis}{angle:.12g}deg" for axis, angle in zip("xy", light.key[1:], strict=True) if angle)
     return job.folder / f"psf_{light.wavelength_nm:.12g}nm{angles}.h5"
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -139,11 +138,19 @@ def _merit(job: Job) -> MeritFigures:
     }
     if is_seen:
         table |= dict(zip(("relative_peak_x", "relative_peak_y"), metrics.relative_peak(written, ideal), strict=True))
-    figures = replace(
-        typed(MeritFigures, table),
-        **_focus(job, imaging),
-        picture_efficiency=_mean_share(_framed(job.design, written)),
-    )
+    figures = replace(typed(MeritFigures, table), picture_efficiency=_mean_share(_framed(job.design, written)))
+    if job.design.is_lens:
+        focus = focus_figures(job, imaging, mask_paths(job)[-1])
+        figures = replace(
+            figures,
+            fwhm_x_um=focus.fwhm_x_um,
+            fwhm_y_um=focus.fwhm_y_um,
+            fwhm_limit_um=focus.fwhm_limit_um,
+            strehl=focus.strehl,
+            encircled_energy=focus.encircled_energy,
+            focus=focus,
+            aberrations=_wavefronts(job, imaging, mask_paths(job)[-1]),
+        )
     write_json(job.folder / "merit.json", figures)
     return figures
 
@@ -173,25 +180,19 @@ def _focus_index(design: Design, psf: Psf) -> int:
     return int(np.argmin(np.abs(1.0 / psf.depth_m - 1.0 / design.sensor.focus_depth_m)))
 
 
-def _focus(job: Job, imaging: Imaging) -> dict[str, Any]:
-    """Focus and wavefront at the focus depth, the focus' headline once more by name; empty for other devices."""
+def _wavefronts(job: Job, imaging: Imaging, mask_path: Path) -> tuple[AberrationFigures, ...] | None:
+    """Wavefront of a lens at the focus depth, for each focused polarisation; None where too few places transmit."""
     from metafab import layout
     from metafab.optics.measures.aberrations import aberrations
 
-    design, mask_path = job.design, mask_paths(job)[-1]
-    if not design.is_lens:
-        return {}
-    figures = focus_figures(job, imaging, mask_path)
-    fronts = None
-    if min(layout.lattice_of(design).shape) >= _FEWEST_SITES:
-        source, depth_m = lit_source(job, written_light(job, mask_path)), design.sensor.focus_depth_m
-        # A thin ring transmits through too few blocks.
-        with suppress(InputError):
-            fronts = tuple(
-                aberrations(source, imaging, depth_m, polarisation=i, work=job.work) for i in _focused(design)
-            )
-    headline = ("fwhm_x_um", "fwhm_y_um", "fwhm_limit_um", "strehl", "encircled_energy")
-    return {"focus": figures, "aberrations": fronts, **{name: getattr(figures, name) for name in headline}}
+    design = job.design
+    if min(layout.lattice_of(design).shape) < _FEWEST_SITES:
+        return None
+    source, depth_m = lit_source(job, written_light(job, mask_path)), design.sensor.focus_depth_m
+    try:
+        return tuple(aberrations(source, imaging, depth_m, polarisation=i, work=job.work) for i in _focused(design))
+    except InputError:  # A thin ring transmits through too few blocks.
+        return None
 
 
 def focus_figures(job: Job, imaging: Imaging, mask_path: Path) -> FocusFigures:

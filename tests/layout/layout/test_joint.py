@@ -186,7 +186,7 @@ def test_the_gain_over_the_plain_rule_is_told(
     assert each_figures == pytest.approx(stored(plain), rel=1e-12)
     assert pairs.efficiency > plain.efficiency
     assert pairs.phase_rms_error_rad < plain.phase_rms_error_rad
-    mask.write(assignment.pillars, tmp_path, pairs_design, mapping=assignment.to_json())
+    mask.write(assignment.pillars, tmp_path, pairs_design, mapping=assignment)
     sidecar = json.loads((tmp_path / "layout.json").read_text())
     assert sidecar["mapping"]["gap_rule_each"] == each_figures
     assert sidecar["mapping"]["efficiency"] == pairs.efficiency

@@ -138,14 +138,14 @@ def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -
 
 
 def doubled(
-    p: Matrix, q: Matrix, thickness: float, largest_a: float, *, omitted: int, keep: bool = False
+    p: Matrix, q: Matrix, thickness_k0: float, largest_a: float, *, omitted: int, keep: bool = False
 ) -> Doubling | None:
-    """F and G of 2^-``omitted`` of a layer: so many doublings are left out. None if a matrix is singular."""
+    """F and G of a layer without its last ``omitted`` doublings: of half of it for 1. None if a matrix is singular."""
     powers = _powers(p, q)
-    halvings = _halvings(powers, thickness, largest_a)
+    halvings = _halvings(powers, thickness_k0, largest_a)
     if halvings is None:
         return None
-    thin_k0, ratios = thickness / 2.0**halvings, []
+    thin_k0, ratios = thickness_k0 / 2.0**halvings, []
     factors: list[tuple[Matrix, Matrix]] | None = [] if keep else None
     numerator, denominator = lambert(powers, thin_k0)
     f, g = _quotient(numerator, denominator, factors), powers[0]
@@ -176,14 +176,14 @@ def _powers(p: Matrix, q: Matrix) -> Matrix:
     return powers
 
 
-def _halvings(powers: Matrix, thickness: float, largest_a: float) -> int | None:
+def _halvings(powers: Matrix, thickness_k0: float, largest_a: float) -> int | None:
     """Number of halvings from the layer to a thin slab; None where A is not finite."""
     # ||A^4||^(1/4) bounds the eigenvalues of A more tightly than ||A||.
     largest = float(np.abs(powers[3]).sum(axis=0).max()) ** 0.25
-    steepest = np.sqrt(largest) * thickness
+    steepest = np.sqrt(largest) * thickness_k0
     if not 0.0 < steepest < np.inf:
         return None
-    travelling = min(steepest, np.sqrt(largest_a) * thickness)
+    travelling = min(steepest, np.sqrt(largest_a) * thickness_k0)
     return max(1, int(np.ceil(max(0.5 * np.log2(steepest), np.log2(travelling / THIN)))))
 
 
@@ -196,19 +196,19 @@ def _keep_freed_memory() -> None:
     np.empty(16 << 20, dtype=np.uint8)
 
 
-def lambert(powers: Matrix, thickness: float) -> Matrix:
+def lambert(powers: Matrix, thickness_k0: float) -> Matrix:
     """Numerator and denominator of F of a thin slab, shape (2, n, n), from ``powers`` 1 to 4 of A, shape (4, n, n)."""
-    scaled = lambert_coefficients(thickness)
+    scaled = lambert_coefficients(thickness_k0)
     parts = np.tensordot(scaled[:, 1:], powers, axes=1)
     n = powers.shape[1]
     parts.reshape(2, n * n)[:, :: n + 1] += scaled[:, :1]
     return np.asarray(parts)
 
 
-def lambert_coefficients(thickness: float) -> Matrix:
+def lambert_coefficients(thickness_k0: float) -> Matrix:
     """Coefficients of the powers 0 to 4 of A in numerator and denominator, shape (2, 5)."""
-    scaled = _LAMBERT * thickness ** (2.0 * np.arange(5))
-    scaled[1] *= thickness
+    scaled = _LAMBERT * thickness_k0 ** (2.0 * np.arange(5))
+    scaled[1] *= thickness_k0
     return np.asarray(scaled)
 
 

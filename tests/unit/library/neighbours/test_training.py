@@ -161,7 +161,7 @@ def test_few_held_out_rows_state_enough() -> None:
         ratios = []
         for one, error in zip(values.swapaxes(0, 1), errors, strict=True):
             law = error_law(RowDoubts(*one[:, :held_out]), error[:held_out])
-            stated = RowDoubts(*one[:, held_out:]).stated_errors(LineStatistics(error_floor=0.0, **law))
+            stated = RowDoubts(*one[:, held_out:]).stated_errors(law)
             ratios.append(stated / error[held_out:])
         assert np.mean(np.less(ratios, 1.0)) < 3e-3
         assert np.median(ratios) < most
