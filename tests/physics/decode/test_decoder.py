@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -140,10 +141,25 @@ def test_hot_pixels_are_bridged(psf: Psf) -> None:
     assert image.figures.share_decoded > 0.97
 
 
-def test_the_outline_of_a_uniform_object_claims_nothing(psf: Psf) -> None:
-    """A bright edge on black shows its blur, but the object shows no texture to tell one depth from two."""
-    flat = SceneObject(depth_m=0.003, size=(0.18, 0.18), texture="uniform")
-    image = decode(capture(Scene(objects=(flat,), seed=7, field_px=(150, 150)), psf), psf)
+@pytest.mark.parametrize("outline", ["ellipse", "rectangle"])
+def test_a_plain_object_in_the_dark_has_the_depth_of_its_outline(
+    psf: Psf, outline: Literal["ellipse", "rectangle"]
+) -> None:
+    plain = SceneObject(depth_m=0.0027, size=(0.2, 0.2), texture="uniform", outline=outline)
+    frame = capture(Scene(objects=(plain,), seed=7, field_px=(150, 150)), psf)
+    image = decode(frame, psf)
+    assert frame.truth is not None
+    errors = image.depth_m[frame.truth.label == 1] / plain.depth_m - 1.0
+    assert np.isfinite(errors).mean() > 0.98
+    (segment,) = image.segments
+    # Over 12 draws of noise 0.04 % of a disc, 0.08 % of a square, of which 0.08 % are the calibration's.
+    assert np.nanmax(np.abs(errors)) < 2e-3
+    assert 0.0 < segment.error_m < 1e-3 * plain.depth_m
+
+
+def test_a_plain_object_whose_outline_has_several_depths_has_none(psf: Psf) -> None:
+    tilted = SceneObject(depth_m=0.0029, size=(0.17, 0.17), texture="uniform", tilt=(0.0, 0.1))
+    image = decode(capture(Scene(objects=(tilted,), seed=7, field_px=(150, 150)), psf), psf)
     assert not np.isfinite(image.depth_m).any()
     assert image.depth_pixel_m is not None
     assert not np.isfinite(image.depth_pixel_m).any()
