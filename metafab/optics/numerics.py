@@ -13,10 +13,11 @@ from metafab.core.errors import Fault, InputError
 from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
 from metafab.optics.geometry.polarisation import Quantity, vectorial_effect
 
-#: Single precision leaves an error of 2e-6, and the low-rank kernel a fifth of the target. A filter halves the share
-#: of the pupil blocks.
+#: Smallest target errors, for one wavelength and with a filter. Single precision leaves an error of 2e-6 and the
+#: low-rank kernel a fifth of the target; with a filter, half the target is left for the pupil blocks.
 _SMALLEST_TARGET, _SMALLEST_TARGET_IN_BAND = 4e-6, 1e-5
-#: Scalar propagation is used if its error is below this share of the target error, and of the largest that counts.
+#: Scalar propagation is used if its error is below this share of the target error; larger targets count as the second
+#: number.
 _SCALAR_SHARE, _LARGEST_SCALAR_TARGET = 0.1, 1e-2
 
 
@@ -28,9 +29,9 @@ class PsfNumerics:
     target_error: float = 1e-3  #: Largest relative L2 error of the irradiance, from 4e-6 (1e-5 with a filter) to 1.
     #: Full width of a flat-top filter about the design wavelength; None for one wavelength.
     filter_fwhm_nm: float | None = None
-    #: Whether the polarisation of the light bends with its direction. None decides by the effect, which is neglected up
-    #: to a tenth of the target error and then part of the error: on from an NA of 0.27 at 1e-3. With False, the error
-    #: leaves it out.
+    #: Whether propagation is vectorial: the electric field stays perpendicular to each ray. None: scalar if that errs
+    #: by a tenth of the target error at most (at 1e-3, up to an NA of 0.27); the stated error then contains it. False:
+    #: scalar, without it in the stated error.
     vectorial: bool | None = None
     #: Compute the density of electric energy |E|^2, always vectorial, in place of the flux through the plane.
     energy: bool = False

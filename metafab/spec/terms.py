@@ -20,7 +20,7 @@ _MOST_ZERNIKES, _MOST_RADIAL = 231, 240
 class _Term(Checked):
     """Base of all phase terms."""
 
-    deflects: ClassVar[bool] = False  #: Whether the keys state where the term sends all light, as those of a lens do.
+    deflects: ClassVar[bool] = False  #: Whether it sends all light in directions that its keys state, as a lens does.
     is_own: ClassVar[bool] = False  #: Whether its phase is the user's own, whose mean slope may deflect light.
     blurs: ClassVar[bool] = False  #: Whether a lens with this term images a point as something other than a spot.
     is_smooth: ClassVar[bool] = True  #: Whether the phase has no jumps, so that its slope is where its light goes.

@@ -75,7 +75,7 @@ class CopyFigures:
     unprinted: int  #: Pillars that do not print.
     dose_min: float  #: Smallest dose of a pillar relative to the base dose.
     dose_max: float  #: Largest dose.
-    doses_of: int  #: First lens with the same corrected doses: another one where both are alone.
+    doses_of: int  #: First lens with the same corrected doses: another one where neither has shapes in reach.
 
 
 @dataclass(frozen=True)
@@ -90,9 +90,10 @@ class MadeMask:
 def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask:
     """Predict the pillars of a written mask by ``[process]``, and the light behind them.
 
-    Printed corners and the made height and sidewalls change the amplitudes like the corners of a tolerance study
-    (:mod:`metafab.tolerance.corners`). ``printed`` is "plain" for one dose, or "corrected" for the correction of
-    ``[process.exposure]``. Errors as :func:`expose_mask`; InputError for sizes too far beyond the library.
+    The amplitudes are those of the made height, sidewalls and rounded outlines, computed as for a corner of the
+    tolerances (:mod:`metafab.tolerance.corners`). ``printed`` is "plain" for one dose, or "corrected" for the
+    correction of ``[process.exposure]``. Errors as :func:`expose_mask`; InputError for sizes too far beyond the
+    library.
     """
     from metafab import optics, tolerance
     from metafab.exposure import exposure_process
@@ -103,7 +104,7 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     if design.unit_cell.cell.is_hexagonal and design.unit_cell.cell.shape == "rectangle":
         expected, remedy = "'rectangular', for the round corners of printed rectangles", "circles are available"
         raise InputError.single(design.name, "cell.lattice", expected, "'hexagonal'", remedy)
-    exposed = expose_mask(path, design, printed == "corrected", 0, copy, work, keep_sizes=True)
+    exposed = expose_mask(path, design, work, correct=printed == "corrected", copy=copy, keep_sizes=True)
     assert design.process is not None
     figures = exposed.exposure.figures
     figures.require_printed(design.name, "process.exposure.base_over_clearing_dose")
@@ -119,7 +120,7 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
         doses = "one dose" if printed == "plain" else f"corrected {exposure_process(design).correction}s"
         corners = [(f"printed, {doses}", corner)]
         (at,) = tolerance.fields_at(field, library, corners, executor=executor, progress=work.progress)
-    # Corners take an area, and so a change, that grows as the square of their radius.
+    # The cells have the mean radius. The area that a rounded corner lacks grows as its radius squared.
     uneven = 2.0 * at.change * figures.corner_radius_rms_nm / figures.corner_radius_nm if is_rectangle else 0.0
     return MadeMask(replace(at, error=math.hypot(at.error, uneven)), made, figures)
 
@@ -127,11 +128,11 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
 def expose_mask(
     path: Path,
     design: Design,
-    correct: bool,
-    samples: int,
-    copy: int,
     work: Work,
     *,
+    correct: bool = False,
+    samples: int = 0,
+    copy: int = 1,
     keep_sizes: bool = False,
     keep_plain: bool = False,
 ) -> ExposedMask:
@@ -279,7 +280,7 @@ def _printed(job: Job) -> PrintedFigures:
     # Copies with a bias, or at too many doses, are predicted; their correction is refused.
     mask = job.design.mask
     correct = not any(copy.bias_nm for copy in mask.copies) and 2 * len(mask.doses) <= MOST_DATATYPES
-    exposed = expose_mask(path, job.design, correct, 0, 1, job.work, keep_plain=True)
+    exposed = expose_mask(path, job.design, job.work, correct=correct, keep_plain=True)
     save_exposure(exposed, path, job.design, job.folder / FILE)
     assert exposed.plain is not None
     plain, found = exposed.plain.figures, exposed.exposure.figures

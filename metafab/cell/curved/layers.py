@@ -53,8 +53,35 @@ def zero_order(cell: PillarCell, order: int) -> ZeroOrder:
             if axis and polarisations_swap(cell):
                 t[1, 1], r[1, 1], powers[:, 1] = t[0, 0], r[0, 0], powers[:, 0]
                 break
-            t[axis, axis], r[axis, axis], powers[:, axis], count = _solved(cell, light, order)
+            solved = _solved(cell, light, order)
+            area_nm2, count = solved.matrices.area_nm2, len(solved.uniform)
+            mean, incident = solved.uniform / area_nm2, complex(cell.n_in[axis]).real * area_nm2
+            t[axis, axis], r[axis, axis] = mean @ solved.transmitted, mean @ solved.reflected
+            for side, (e, admittance) in enumerate(((solved.transmitted, solved.far), (solved.reflected, solved.near))):
+                powers[side, axis] = np.vdot(e, admittance @ e).real / incident
     return ZeroOrder(t, r, powers[0], powers[1], count, 0.0, NO_MODES)
+
+
+@dataclass(frozen=True)
+class Waves:
+    """In-plane wave numbers and fields of the TM and TE waves of a uniform medium, each of unit norm."""
+
+    k_squared_tm: FloatArray  #: Shape (n_tm,), 1/nm^2.
+    tm: FloatArray  #: Shape (N, n_tm), M e of each wave.
+    k_squared_te: FloatArray  #: Shape (n_te,), 1/nm^2; 0 for the uniform fields of the lights, which come first.
+    te: FloatArray  #: Shape (N, n_te), M e of each wave.
+
+    def admittance(self, eps: complex, k0_per_nm: float) -> ComplexArray:
+        """Y of a half space: h = Y e for outgoing waves, shape (N, N), symmetric."""
+        of_tm, of_te = (distinct_root(eps - k2 / k0_per_nm**2) for k2 in (self.k_squared_tm, self.k_squared_te))
+        weight, fields = np.concatenate([eps / of_tm, of_te]), np.concatenate([self.tm, self.te], axis=1)
+
+        def summed(part: FloatArray) -> FloatArray:
+            # Among real indices, waves that travel have a real weight, the others an imaginary one.
+            some = part != 0.0
+            return np.asarray((fields[:, some] * part[some]) @ fields[:, some].T)
+
+        return np.asarray(summed(weight.real) + 1j * summed(weight.imag))
 
 
 @dataclass(frozen=True)
@@ -100,11 +127,11 @@ class MeshMatrices:
         p = self.inverse - self.gradient @ np.linalg.solve(of_z, self.gradient.T) / k0_per_nm**2
         return 0.5 * (p + p.T), q
 
-    def waves(self) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
-        """In-plane wave number squared, shape (n,), and M e of the unit waves, shape (N, n), of TM and of TE waves.
+    def waves(self) -> Waves:
+        """Plane waves of a half space.
 
-        The first TE waves are the uniform fields of the lights, of k = 0. The functions hold them up to the outline's
-        curvature: their part that has a curl is removed, so that the waves are orthogonal and power is kept exactly.
+        On a curved mesh the functions only approximate the uniform fields. The part of these that has a curl is
+        removed, so that the waves are orthogonal and power is conserved exactly.
         """
         lifted = self.e @ self.gradient
         k_tm, potential = eigh(self.gradient.T @ lifted, self.z)
@@ -118,7 +145,7 @@ class MeshMatrices:
         uniform /= np.sqrt(np.sum(uniform * (self.inverse @ uniform), axis=0))
         te = np.concatenate([uniform, te], axis=1)
         k_te = np.concatenate([np.zeros(len(self.uniform)), k_te[first:]])
-        return (k_tm, lifted @ (potential / np.sqrt(k_tm))), (k_te, te)
+        return Waves(k_tm, lifted @ (potential / np.sqrt(k_tm)), k_te, te)
 
 
 def order_efficiencies(cell: PillarCell, order: int, sides: Sequence[Sequence[tuple[int, int]]]) -> FloatArray:
@@ -136,7 +163,8 @@ def order_efficiencies(cell: PillarCell, order: int, sides: Sequence[Sequence[tu
     powers: list[list[float]] = []
     with one_thread():
         for axis, light in enumerate(POLARISATIONS):
-            functions, of, _, fields = _fields(cell, light, order)
+            solved = _solved(cell, light, order)
+            fields = solved.transmitted, solved.reflected
             powers.append([])
             for field, n, side in zip(fields, (cell.n_out[axis], cell.n_in[axis]), sides, strict=True):
                 for number in side:
@@ -146,69 +174,55 @@ def order_efficiencies(cell: PillarCell, order: int, sides: Sequence[Sequence[tu
                         powers[-1].append(0.0)
                         continue
                     amplitude = np.zeros(2, dtype=np.complex128)
-                    for each in functions.elements:
+                    for each in solved.functions.elements:
                         (cos_x, cos_y), (sin_x, sin_y) = np.cos(k[:, None] * each.at), np.sin(k[:, None] * each.at)
                         # The light's component is even about both mirrors, the other one odd.
                         for of_axis in range(2):
                             wave = cos_x * cos_y if of_axis == axis else -sin_x * sin_y
                             amplitude[of_axis] += field[each.place] @ (each.e[of_axis] @ (each.weight * wave))
-                    amplitude /= of.area_nm2
+                    amplitude /= solved.matrices.area_nm2
                     k_z = math.sqrt(k_z_squared)
                     power = k_z * np.vdot(amplitude, amplitude).real + abs(k @ amplitude) ** 2 / k_z
                     powers[-1].append(float(power) / (cell.k0_per_nm * complex(cell.n_in[axis]).real))
     return np.array(powers).T
 
 
-def _solved(cell: PillarCell, light: Polarisation, order: int) -> tuple[complex, complex, tuple[float, float], int]:
-    """t, r, transmitted and reflected power over the incident power, and the number of functions."""
-    _, of, (uniform, near, far), (last, back) = _fields(cell, light, order)
-    sent = complex(cell.n_in[POLARISATIONS.index(light)]).real * of.area_nm2
-    powers = tuple(float(np.vdot(e, admittance @ e).real) / sent for e, admittance in ((last, far), (back, near)))
-    mean = uniform / of.area_nm2
-    return complex(mean @ last), complex(mean @ back), (powers[0], powers[1]), len(mean)
+@dataclass(frozen=True)
+class _Solved:
+    """Fields of one light through a cell."""
+
+    functions: Functions
+    matrices: MeshMatrices
+    uniform: FloatArray  #: Shape (N,), M e of the light's uniform field.
+    near: ComplexArray  #: Shape (N, N), admittance of the half space that the light comes from.
+    far: ComplexArray  #: Shape (N, N), admittance of the other one.
+    transmitted: ComplexArray  #: Shape (N,), E at the far face.
+    reflected: ComplexArray  #: Shape (N,), E of the reflected light at the near face.
 
 
-def _fields(
-    cell: PillarCell, light: Polarisation, order: int
-) -> tuple[Functions, MeshMatrices, tuple[FloatArray, ComplexArray, ComplexArray], tuple[ComplexArray, ComplexArray]]:
-    """Functions and matrices; uniform field and admittances of both half spaces; transmitted and reflected E."""
+def _solved(cell: PillarCell, light: Polarisation, order: int) -> _Solved:
+    """Solve a cell for one light, from the far half space to the near one and back."""
     axis, k0 = POLARISATIONS.index(light), cell.k0_per_nm
     functions = functions_of(quarter_mesh(cell), light, order)
-    of = MeshMatrices.of(functions, [axis])
-    waves = of.waves()
+    matrices = MeshMatrices.of(functions, [axis])
+    waves = matrices.waves()
     n_in, n_out = complex(cell.n_in[axis]), complex(cell.n_out[axis])
-    near, far = (_admittance(waves, permittivity(n), k0) for n in (n_in, n_out))
+    near, far = (waves.admittance(permittivity(n), k0) for n in (n_in, n_out))
     upwards = (*cell.under, Slice(cell.height_nm, cell.n_pillar, cell.n_ambient), *cell.over)
     behind, faces = far, []
     for layer in upwards[::-1] if cell.side == "substrate" else upwards:
         largest = largest_eigenvalue(permittivity(layer.n_inside), permittivity(layer.n_around))
-        both = slab(*of.of_layer(layer, k0), k0 * layer.height_nm, largest)
+        both = slab(*matrices.of_layer(layer, k0), k0 * layer.height_nm, largest)
         if both is None:
             raise SolverError(f"a layer of {cell} is singular in elements of order {order}")
         phi, gamma = both
         through = np.linalg.solve(behind + 1j * phi, 1j * gamma)
         behind = 1j * (phi - gamma @ through)
         faces.append(through)
-    uniform = math.sqrt(of.area_nm2) * waves[1][1][:, 0]
+    uniform = math.sqrt(matrices.area_nm2) * waves.te[:, 0]
     first = np.linalg.solve(near + behind, 2.0 * n_in * uniform)
     last = first
     for through in reversed(faces):
         last = through @ last
-    transmitted, reflected = (np.asarray(e, np.complex128) for e in (last, first - of.inverse @ uniform))
-    return functions, of, (uniform, near, far), (transmitted, reflected)
-
-
-def _admittance(
-    waves: tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]], eps: complex, k0_per_nm: float
-) -> ComplexArray:
-    """Y of a half space: h = Y e for outgoing waves, shape (N, N), symmetric."""
-    (k_tm, tm), (k_te, te) = waves
-    of_tm, of_te = (distinct_root(eps - k_squared / k0_per_nm**2) for k_squared in (k_tm, k_te))
-    weight, fields = np.concatenate([eps / of_tm, of_te]), np.concatenate([tm, te], axis=1)
-
-    def summed(part: FloatArray) -> FloatArray:
-        # Among real indices, waves that travel have a real weight, the others an imaginary one.
-        some = part != 0.0
-        return np.asarray((fields[:, some] * part[some]) @ fields[:, some].T)
-
-    return np.asarray(summed(weight.real) + 1j * summed(weight.imag))
+    transmitted, reflected = (np.asarray(e, np.complex128) for e in (last, first - matrices.inverse @ uniform))
+    return _Solved(functions, matrices, uniform, near, far, transmitted, reflected)

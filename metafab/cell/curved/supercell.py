@@ -62,12 +62,11 @@ def curved_layer(supercell: Supercell, lights: Sequence[Polarisation], resolutio
     functions = functions_of(mesh, lights[0], polynomial_order(resolution))
     # A block holds the uniform fields of both lights, whatever the incident one.
     axes = [0, 1] if all(mesh.repeats) else [POLARISATIONS.index(lights[0])]
-    of = MeshMatrices.of(functions, axes)
-    (k_tm, tm), (k_te, te) = of.waves()
-    count = len(axes)
-    uniform = np.zeros((2, len(of.e)))
-    uniform[axes] = te[:, :count].T
-    orders = np.zeros((len(order), 2, len(of.e)), dtype=np.complex128)
+    matrices = MeshMatrices.of(functions, axes)
+    waves, count = matrices.waves(), len(axes)
+    uniform = np.zeros((2, len(matrices.e)))
+    uniform[axes] = waves.te[:, :count].T
+    orders = np.zeros((len(order), 2, len(matrices.e)), dtype=np.complex128)
     k = supercell.wavevectors_per_um(order) * 1e-3
     for each in functions.elements:
         x, y = np.exp(-1j * np.outer(k[:, 0], each.at[0])), np.exp(-1j * np.outer(k[:, 1], each.at[1]))
@@ -75,9 +74,9 @@ def curved_layer(supercell: Supercell, lights: Sequence[Polarisation], resolutio
             # Over both halves of a row: the light's component is even about its axis, the other one odd.
             along_y = y if all(mesh.repeats) else y.real if axis == axes[0] else 1j * y.imag
             orders[:, axis, each.place] += (x * along_y * each.weight) @ each.e[axis].T
-    p, q = of.of_layer(Slice(cell.height_nm, cell.n_pillar, cell.n_ambient), cell.k0_per_nm)
-    waves = RealWaves(k_tm, tm.T), RealWaves(k_te[count:], te[:, count:].T)
-    return Layer(p, q, *waves, uniform, orders / of.area_nm2, of.area_nm2)
+    p, q = matrices.of_layer(Slice(cell.height_nm, cell.n_pillar, cell.n_ambient), cell.k0_per_nm)
+    tm, te = RealWaves(waves.k_squared_tm, waves.tm.T), RealWaves(waves.k_squared_te[count:], waves.te[:, count:].T)
+    return Layer(p, q, tm, te, uniform, orders / matrices.area_nm2, matrices.area_nm2)
 
 
 def supercell_mesh(supercell: Supercell) -> QuarterMesh:

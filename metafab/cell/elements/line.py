@@ -151,7 +151,7 @@ def folds(line: Line, across: tuple[int, int], corner: IntArray, *, even: bool) 
 
     Args:
         line: numbering along x, periodic.
-        across: continuous and discontinuous functions along y.
+        across: numbers of continuous and of discontinuous functions along y.
         corner: shape (n_x,), number of the function of the corners at each vertex along x; -1 for none.
         even: whether E_x is even and E_y and E_z are odd.
     """

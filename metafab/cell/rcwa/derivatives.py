@@ -116,8 +116,7 @@ class _Field(NamedTuple):
     near_h: ComplexArray
     far_e: ComplexArray
     far_h: ComplexArray
-    sent_near: ComplexArray  #: E of the waves that leave at the near face.
-    sent_far: ComplexArray  #: E of the waves that leave at the far face.
+    sent: tuple[ComplexArray, ComplexArray]  #: E of the waves that leave at the near face, and at the far face.
 
     @property
     def sums(self) -> tuple[ComplexArray, ComplexArray]:
@@ -190,25 +189,25 @@ class _ClassTangents:
         return faces, incident[:, self._columns]
 
     def _field(self, near: ComplexArray, far: ComplexArray, sent_near: ComplexArray, sent_far: ComplexArray) -> _Field:
-        """Field of the incident E ``near`` and ``far``, whose columns all outgoing waves hold."""
+        """Fields at both faces, of incident E ``near`` and ``far``, shape (n, p), and all outgoing E, shape (n, 2)."""
         sent_near, sent_far = sent_near[:, self._columns], sent_far[:, self._columns]
         y_near, y_far = (_admittance(each)[:, None] for each in self._waves)
         h_near, h_far = y_near * (near - sent_near), y_far * (sent_far - far)
-        return _Field(near + sent_near, h_near, far + sent_far, h_far, sent_near, sent_far)
+        return _Field(near + sent_near, h_near, far + sent_far, h_far, (sent_near, sent_far))
 
     def _of_half_spaces(self, turned: WaveTangents) -> ComplexArray:
-        """The same integral over both half spaces, of outgoing waves: the zero order drops out, as it does not change.
+        """The integral over both half spaces, of outgoing waves: the zero order drops out, as it does not change.
 
-        The two waves of a pair have one propagation constant.
+        Both fields have the same propagation constant in each wave, which makes the integral a closed form.
         """
         total = np.zeros((2, self._columns.size, self._columns.size), dtype=np.complex128)
         indices = self._case.n_in, self._case.n_out
         for side, (n, waves) in enumerate(zip(indices, self._waves, strict=True)):
             length = 0.5j / np.where(waves.beta == 0.0, _SMALLEST, waves.beta)[:, None]
-            admittance, e = _admittance(waves)[:, None], self._first[4 + side]
+            admittance, e = _admittance(waves)[:, None], self._first.sent[side]
             of_e, of_h = uniform_product(self._case.basis, turned, permittivity(n), e, admittance * e)
-            late = length * (of_e - admittance * of_h)
-            total += np.stack([each[4 + side].T @ late for each in self._seconds])
+            integrated = length * (of_e - admittance * of_h)
+            total += np.stack([each.sent[side].T @ integrated for each in self._seconds])
         return total
 
     def _amplitudes(self, total: ComplexArray) -> ComplexArray:

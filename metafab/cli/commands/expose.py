@@ -75,7 +75,9 @@ def expose_command(
         if folder != asked:
             announce([f"{asked} keeps its mask: the corrected one goes to {folder}"])
     with open_work(workers) as (work, cost):
-        exposed = expose_mask(layout, spec, correct, sample, copy, work, keep_plain=record is not None)
+        exposed = expose_mask(
+            layout, spec, work, correct=correct, samples=sample, copy=copy, keep_plain=record is not None
+        )
         files = (
             ()
             if folder is None

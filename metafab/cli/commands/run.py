@@ -146,7 +146,7 @@ def _keep_answer(
 ) -> None:
     """Keep what the next run prints if nothing changes, unless a file changed during this one.
 
-    Marks of ``inputs`` are those before the steps: a clock that steps back hides no change.
+    ``inputs`` were marked before the steps, so that a change is seen even if the clock is set back.
     """
     from metafab.core.storage.rerun import Rerun, all_older, folder_marks, marks
     from metafab.run import STEPS, skipping_all
@@ -161,9 +161,18 @@ def _keep_answer(
         if not is_unchanged or not all_older((inputs.keys() | read) - made.keys(), began_ns):
             return
         kept = {name: mark for name, mark in outside.items() if not name.startswith(f"{place}{os.sep}")}
-        texts = (summary.name, str(path.absolute()), str(place), code)
-        lines = headlines(again, folder)
-        Rerun(*texts, kept, files, again.table(), lines, tuple(announcements), again.violations).keep(folder)
+        Rerun(
+            name=summary.name,
+            design=str(path.absolute()),
+            folder=str(place),
+            code=code,
+            inputs=kept,
+            files=files,
+            summary=again.table(),
+            headlines=headlines(again, folder),
+            announcements=tuple(announcements),
+            violations=again.violations,
+        ).keep(folder)
     except (OSError, ValueError):
         return  # A file is gone, or the folder is read-only: the next run checks every step.
 

@@ -64,7 +64,7 @@ def compensated(
 
 
 def field_gradient(calibration: Calibration) -> NDArray[np.float32]:
-    """Weights of the field points in the pair's gradient over (x, y) at each of them, per pixel: shape (2, n, n)."""
+    """Matrices of the derivatives over x and y (per pixel) of the pair at the n field points: shape (2, n, n)."""
     kernels = calibration.kernels
     nodes_y, nodes_x = kernels.tangent_y, kernels.tangent_x
     by_x = np.kron(np.eye(nodes_y.size), slope_weights(nodes_x))

@@ -102,7 +102,10 @@ def _interpolate_rows(
     table: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
-    """The filter's eight products are written out, so that they are added in pairs, at once."""
+    """Write rows ``first`` to ``stop`` of an image, filtered at ``place``, as columns of ``out``.
+
+    The filter's eight products are written out, so that the processor adds them in pairs.
+    """
     last, fractions = image.shape[1] - 1, np.float32(table.shape[0] - 1)
     for i in range(first, stop):
         for j in range(place.shape[1]):

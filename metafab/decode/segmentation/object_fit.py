@@ -2,14 +2,14 @@
 
 An object no larger than the blur hides part of the texture behind it. The model has the occlusion of the camera
 (:mod:`metafab.camera.rendering.occlusion`): the object hides a share of the aperture from each point of the surface,
-and a pixel of which it covers the share a shows 1 - a of the light of the surface.
+and a pixel with the share a covered shows 1 - a of the surface's light.
 
 Both textures have a 1/k spectrum. A Gauss-Newton step solves by conjugate gradients for them and for the changes of
-depth, rectangle and mean intensities at once. Where that settles, textures are the most probable ones, and depth leans
-to where two textures explain most: away from the surface. Integrated out, they add half the gradient of the logarithm
-of their information's determinant (Fisher's identity), a mean over draws from their posterior, each of which is a solve
-with random right sides. The standard error of the depth is that of the posterior of all unknowns, times the ratio that
-was measured.
+depth, rectangle and mean intensities at once. These steps converge to the joint maximum of the posterior, whose depth
+is biased away from the surface, where two textures explain more. So the last steps maximise the marginal posterior: the
+textures are integrated out, which adds half the gradient of the log-determinant of their information matrix. By
+Fisher's identity that is a mean over draws from their posterior; each draw is a solve with random right sides. The
+standard error of the depth is that of the posterior of all unknowns, times a measured ratio.
 """
 
 from __future__ import annotations
@@ -42,15 +42,15 @@ _TEXTURE, _MODEL_ERROR = 0.3, 0.006
 _ERROR_RATIO = 1.45
 #: Most Gauss-Newton steps, which cross the calibrated depths.
 _ROUNDS = 24
-#: Relative change of depth that ends them.
+#: Relative change of depth in a Gauss-Newton step that ends the fit.
 _SETTLED = 2e-3
-#: Steps of conjugate gradients in each of them, and fewer at first or after a large change of depth.
+#: Steps of conjugate gradients in a Gauss-Newton step, and in one after the start or a large change of depth.
 _STEPS, _STEPS_FAR = 60, 20
 #: Relative change of depth that is large.
 _FAR = 0.03
 #: Relative change of depth below which the textures are integrated out.
 _NEAR = 0.003
-#: Draws of the textures: they move the depth by 0.2 of its error.
+#: Draws of the textures; their randomness moves the depth by 0.2 of its error.
 _DRAWS = 4
 #: Steps by which the model is differentiated: of the logarithm of vergence, of middle and half sides in downsampled
 #: pixels; it is linear in the mean intensities.
@@ -91,7 +91,7 @@ class ObjectStart:
     middle: tuple[int, int]  #: Downsampled pixel (row, column) in the middle of its window.
     extent: int  #: Largest side of its blob, downsampled pixels.
     surface_per_m: float  #: 1/depth of the surface behind it.
-    level_e: FloatArray  #: Mean light of the surface in both images, shape (2,), of which the ratio counts.
+    level_e: FloatArray  #: Mean light of the surface in both images, shape (2,); only their ratio is used.
     vergence_per_m: float  #: 1/depth.
     rectangle: Rectangle  #: Middle from the window's middle, and half sides.
 
@@ -106,8 +106,8 @@ def fitted_objects(
 ) -> list[FittedObject | None]:
     """Fit objects, each by itself; None for those beyond their surface or the nearest calibrated depth.
 
-    Fits with windows of one side are computed a few at a time, on all cores: the cost of calls outweighs that of small
-    transforms.
+    Objects with windows of equal size are fitted a few at a time, as calls cost more than small transforms; all cores
+    share the batches.
     """
     sides = [start.side(optics) for start in starts]
     order = sorted(range(len(starts)), key=lambda number: sides[number])
@@ -123,7 +123,7 @@ def fitted_objects(
 
 
 def _fitted(prepared: PreparedFrame, optics: LayerOptics, starts: Sequence[ObjectStart]) -> list[FittedObject | None]:
-    """Fits with windows of one side, in rounds in which those that have not settled are solved together."""
+    """Fit a batch with windows of equal size; each Gauss-Newton step treats those that have not settled together."""
     window, count = _Window.of(prepared, optics, starts), len(starts)
     origin = np.array([window.side // 2, window.side // 2, 0.0, 0.0])
     depths = np.log([[one.vergence_per_m] for one in starts])
@@ -141,8 +141,8 @@ def _fitted(prepared: PreparedFrame, optics: LayerOptics, starts: Sequence[Objec
             at = np.flatnonzero(going & (steps == most))
             linear = _Linear.of(window.taken(at), unknowns[at], textures[at], first)
             change, change_of_textures = linear.solved(of_textures[at], most)
-            # A step of depth that turns back ends at the zero of the secant. Full ones undo up to 0.9 of the last:
-            # textures follow depth only in part.
+            # A step of depth against the last one is shortened by the secant rule. In full, it would undo up to 0.9 of
+            # the last: the textures follow the depth only in part.
             back, share = before[at] * change[:, 0] < 0.0, np.ones(len(at))
             np.divide(moved[at], before[at] - change[:, 0], out=share, where=back)
             share = np.minimum(share, 1.0)
@@ -182,9 +182,9 @@ class _Window:
     weight: NDArray[np.float32]  # (k, 2, n, n), inverse deviation of noise and model; 0 where nothing is compared
     pair: _Spectra  # (k, n_depth, 2, n, n // 2 + 1), transforms of the pair at the calibrated depths
     surface_per_m: FloatArray  # (k,)
-    surface: _Spectra  # (k, 2, n, n // 2 + 1), those at the surface
+    surface: _Spectra  # (k, 2, n, n // 2 + 1), transforms of the pair at the surface's depth, times its share of light
     light: NDArray[np.float32]  # (k, 1, 1, 1), mean light of the surface, electrons
-    amplitude: NDArray[np.float32]  # (k, 1, n, n // 2 + 1), that of both textures, electrons
+    amplitude: NDArray[np.float32]  # (k, 1, n, n // 2 + 1), amplitude of both textures' spectrum, electrons
 
     @property
     def side(self) -> int:
@@ -192,7 +192,7 @@ class _Window:
 
     @classmethod
     def of(cls, prepared: PreparedFrame, optics: LayerOptics, starts: Sequence[ObjectStart]) -> _Window:
-        """The windows of starts with one side."""
+        """The windows of starts whose windows are of equal size."""
         n, step = starts[0].side(optics), prepared.downsampling.step
         parts = []
         for start in starts:
@@ -250,7 +250,7 @@ class _Scene:
     depth: _Depth  # optics of the object's depth
     cover: NDArray[np.float32]  # (k, 1, n, n), share of each pixel that the object covers, low frequencies
     seen: NDArray[np.float32]  # (k, 1, n, n), share of the aperture that sees the surface
-    balance: NDArray[np.float32]  # (k, 2, n, n), share of the surface's blurred light that the camera adds
+    balance: NDArray[np.float32]  # (k, 2, n, n), share of the whole surface's image added to keep radiance
 
     @classmethod
     def of(cls, window: _Window, depth: _Depth, unknowns: _Unknowns) -> _Scene:

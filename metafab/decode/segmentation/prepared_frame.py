@@ -27,7 +27,7 @@ _FAINT = 0.01
 _BLUR_PX = 12
 #: Least share of a plain object's pixels away from its outline that are plain.
 _PLAIN_SHARE = 0.99
-#: Deviations of the read noise, in the sum of both images, that are dark.
+#: Sum of both images, in standard deviations of the read noise, up to which a pixel is dark.
 _DARK_DEVIATIONS = 6.0
 #: Share of a surface's light at which its outline stands, next to the dark.
 _OUTLINE_SHARE = 0.175
@@ -35,8 +35,8 @@ _OUTLINE_SHARE = 0.175
 _SHARP_SHARE = 0.4
 #: Reach of the blur of a highlight, frame pixels.
 _SPOILED_PX = 24
-#: Blur of bright pixels over the light of a dim surface from which images are faded about them, and the distance over
-#: which they fade, frame pixels. At five times the light they fade from 8 to 24 px; from 4 to 20 px does as well.
+#: The images fade around bright pixels, from where their blur is this multiple of a dim surface's light, over this
+#: distance (frame pixels). Around pixels of five times the light that is from 8 to 24 px; 4 to 20 px does as well.
 _FADED_BLUR, _FADE_PX = 2.0, 16.0
 #: Distance from a lit pixel up to which images are deconvolved, downsampled pixels.
 _LIT_MARGIN_PX = 2
@@ -106,8 +106,8 @@ class PreparedFrame:
     ) -> tuple[NDArray[np.complex64], NDArray[np.bool_]]:
         """Transforms of the downsampled images in which the light about bright pixels fades into an even level.
 
-        The matched filters reach farther than the blur: beside a bright outline, their spread outweighs the texture of
-        a dim surface.
+        The matched filters reach farther than the blur: near a bright outline, its response exceeds that of the dim
+        surface's texture.
 
         Args:
             bright: shape (n_y, n_x), downsampled pixels.
@@ -149,7 +149,7 @@ class PreparedFrame:
         for (reach_px, _), share in zip(self.spill, shares, strict=False):
             if np.float32(share) * brightest <= floor.min():  # in even light, the first reach is enough
                 continue
-            # A window about a bright surface's outline holds half of it: the brightest is half a window farther in.
+            # At an outline, half of the averaging window is dark: the surface's full light is half a window farther in.
             side = 2 * (half + reach_px // self.downsampling.step) + 1
             np.maximum(floor, np.float32(share) * maximum_filter(light, side, mode="nearest"), out=floor)
         return floor
@@ -206,7 +206,7 @@ class PreparedFrame:
     @cached_property
     def plain(self) -> NDArray[np.bool_]:
         """Surfaces without texture and their outlines, where even a faint texture would show: shape (n_y, n_x)."""
-        # The windows of smooth pixels end before any other surface's light.
+        # Windows that hold an outline or its blur are not smooth, and smooth cores keep half a window away from these.
         outline = 2 * (self.window // 2) + _BLUR_PX / self.downsampling.step
         return np.asarray((distance(self._smooth_cores) <= outline) & self.lit)
 

@@ -135,7 +135,7 @@ class TileLayers:
         return np.asarray(np.add.reduceat(product.sum(axis=1), self.optics.starts) / np.float32(rows * columns))
 
     def _balance(self, cover: _Cover, light: NDArray[np.complex64]) -> NDArray[np.float32]:
-        """Light that the images gain where layers hide each other, so that radiance stays: their shape.
+        """Light added to the images where layers hide each other, so that radiance is kept: shape of the images.
 
         ``light``: transforms of the layers' light, shape (n_pairs, n_ky, n_kx).
         """

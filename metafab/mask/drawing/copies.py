@@ -21,7 +21,7 @@ class Variant:
 
     bias_dbu: int = 0  #: Added to the drawn width and length, on top of ``mask.bias_nm``.
     dose_number: int = 0  #: Number of its dose among those of all copies, ascending, from 0.
-    pattern: int = 0  #: Number of its dose classes among those of all copies, from 0.
+    pattern: int = 0  #: Number from 0 of its map of dose classes, among the different maps of all copies.
 
     @property
     def tag(self) -> str:
@@ -50,7 +50,7 @@ class LensCopy:
 def lens_copies(design: Design, patterns: Sequence[int] = ()) -> tuple[LensCopy, ...]:
     """Return the lenses in the order of ``mask.copies``; a single one in the middle if none are listed.
 
-    ``patterns`` are the numbers of their dose classes, if they differ.
+    ``patterns`` number their maps of dose classes; one map for all by default.
 
     InputError if a place is not a whole, or a bias not an even, number of database units, or two lenses overlap.
     """

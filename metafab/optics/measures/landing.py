@@ -3,8 +3,8 @@
 The field behind the pillars is cut into blocks. The Fourier transform of a block gives its plane waves; each of them is
 a ray from the block to the sensor. Blocks of the side sqrt(wavelength x distance), a Fresnel zone, spread the light by
 their side and by their diffraction alike, which is the resolution of the map. Bins of one beam land at one point: the
-direction of each follows from its phase steps to the blocks one pillar on (frequency reassignment, Auger and Flandrin
-1995).
+direction of each follows from its change of phase to the block shifted by one pillar (frequency reassignment, Auger and
+Flandrin 1995).
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ _FEWEST_SITES, _MOST_SITES = 16, 256
 _MOST_BLOCKS = 4096
 #: Cells of the map, in resolutions, and its reach in sensor distances: light beyond 84 degrees is left out.
 _CELL, _REACH = 0.5, 10.0
-#: Faintest plane wave that is placed, as a share of its block's brightest: many faint ones are no bright place.
+#: Faintest plane wave that is placed, as a share of its block's brightest. The sum of many faint ones must not count as
+#: a bright place.
 _FAINTEST = 1e-3
 #: Most cells of the map that are held, some 80 MB; beyond, the darker half is dropped.
 _MOST_CELLS = 1 << 18
@@ -73,9 +74,10 @@ def _brightest(
     resolution_um = math.sqrt(imaging.wavelength_um * imaging.sensor_distance_um)
     cell_um = _CELL * max(resolution_um, side_um)
     cells, total = dict[int, FloatArray](), 0.0
-    for each in _landings(source, imaging, ray, polarisation, resolution_um):
-        total += float(each[2].sum())
-        x_um, y_um, power = (values[each[2] >= _FAINTEST * each[2].max()] for values in each)
+    for landed_x_um, landed_y_um, landed in _landings(source, imaging, ray, polarisation, resolution_um):
+        total += float(landed.sum())
+        bright = landed >= _FAINTEST * landed.max()
+        x_um, y_um, power = landed_x_um[bright], landed_y_um[bright], landed[bright]
         column, row = (np.floor(at / cell_um).astype(np.int64) for at in (x_um, y_um))
         places, which = np.unique(row * _ROW + column, return_inverse=True)
         sums = np.stack([np.bincount(which, weights) for weights in (power, power * x_um, power * y_um)], axis=1)
@@ -137,14 +139,14 @@ def _plane_waves(
     block = np.pad(block, [(0, max(0, n - count)) for n, count in zip(least, block.shape, strict=True)], mode="edge")
     n_y, n_x = block.shape[0] - rows, block.shape[1] - columns
     near = np.stack([block[down : down + n_y, right : right + n_x] for down, right in ((0, 0), *pairs)])
-    # The same sites of all three, or the outline of the aperture would count as a step.
+    # Sites without both neighbours are left out: the aperture's outline would count as a change of phase.
     here, *steps = np.fft.fft2(near * (near != 0.0).all(axis=0), (sites, sites))
     turns, scale = np.angle(np.array(steps) * here.conj()) / (2.0 * np.pi), steepest[:, None, None]
     if lattice.hexagonal:  # steps to the second site along x, and to the first along both
         turns[0] *= 0.5
         turns[1] -= turns[0]
         turns[1] -= np.rint(turns[1])
-        # Half a turn along both changes nothing at the sites with pillars: the flatter of both waves.
+        # Half a turn along both axes changes nothing at the sites with pillars: of these two waves, the flatter one.
         other = turns - np.copysign(0.5, turns)
         turns = np.where(((scale * other) ** 2).sum(axis=0) < ((scale * turns) ** 2).sum(axis=0), other, turns)
     return scale * turns, np.abs(here) ** 2

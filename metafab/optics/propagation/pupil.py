@@ -2,9 +2,9 @@
 
 The exact (non-paraxial) path of a carrier ray is removed at every site, so that the light of all pillars in a block
 reaches the image point with nearly the same phase. A block is stored as its sum and two first moments. Other object
-points, depths and window points add a phase that is smooth across the block; the moments follow it, and ragged rims, to
-second order in the block size. Phases are reduced in double precision. Four blocks make one of twice the side, and the
-difference of the two sizes gives the error.
+points, depths and window points add a phase that is smooth across the block. The moments account for its slope, also in
+blocks that the aperture cuts, so that the error is of second order in the block size. Phases are reduced in double
+precision. Four blocks make one of twice the side, and the difference of the two sizes gives the error.
 """
 
 from __future__ import annotations

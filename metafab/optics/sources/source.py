@@ -130,8 +130,7 @@ class ApodisedField:
     """Source behind a stop or an amplitude in the plane of the pillars."""
 
     source: Source  #: Field without the apodisation.
-    #: Transmitted amplitude, 0 to 1, shape (n_y, n_x), at x, shape (n_x,), and y, shape (n_y,).
-    transmission: Callable[[FloatArray, FloatArray], FloatArray]
+    transmission: Transmission  #: Amplitude that stop and apodisation transmit.
 
     @property
     def lattice(self) -> Lattice:

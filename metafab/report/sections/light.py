@@ -60,7 +60,7 @@ def point_spread(run: RunFolder, drawn: Drawn) -> str:
 
 
 def _illumination(run: RunFolder, depth_m: list[float]) -> str:
-    """Light of the PSFs in words: that of the unit cell where there are several, and the depth where there is one."""
+    """Words for the light of the PSFs, if the design has several, and for the depth, if it has one."""
     several = f", at {run.outline.own_light}" if run.outline.own_light else ""
     if len(depth_m) > 1:
         return several
@@ -111,7 +111,7 @@ def _focus(focus: FocusFigures) -> str:
 
 
 def _lights(figures: LightsFigures, layout: LayoutFigures | None) -> str:
-    """Efficiency, focus and library error in each light that the mask serves; focus figures along the axis alone."""
+    """Efficiency, focus and library error in each light that the mask serves; no focus for light at an angle."""
     mapped = {
         light_label(each.wavelength_nm, each.angle_x_deg, each.angle_y_deg): each.figures
         for each in (layout and layout.lights) or ()

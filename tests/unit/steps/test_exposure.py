@@ -38,7 +38,7 @@ def test_a_copy_out_of_focus_is_exposed_at_the_base_dose_of_the_others(smooth_li
     design = load_design(tmp_path / "design.toml")
     write_layout(Job(design, tmp_path))
     sharp, blurred = (
-        expose_mask(tmp_path / "layout.oas", design, False, 0, copy, Work()).exposure.figures for copy in (1, 2)
+        expose_mask(tmp_path / "layout.oas", design, Work(), copy=copy).exposure.figures for copy in (1, 2)
     )
     assert blurred.base_over_clearing_dose == pytest.approx(sharp.base_over_clearing_dose, rel=1e-12)
     assert abs(sharp.cd_bias_nm) < 0.1
