@@ -19,6 +19,7 @@ from typing import Any
 
 from metafab import __version__
 from metafab.core.errors import noted
+from metafab.core.numeric.ahead import compiling_ahead
 from metafab.core.parallel.measure import measured
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, plain, whole_file, write_json
@@ -122,8 +123,12 @@ def run(
     interpolates. ``say`` is called with announcements before the work begins. InputError if another process runs in
     this folder.
     """
-    design = with_targets(design)
-    job = Job(design, folder, work, skips)
+    with compiling_ahead(work.workers):
+        return _run(Job(with_targets(design), folder, work, skips), steps, check, say)
+
+
+def _run(job: Job, steps: Sequence[Step], check: Step, say: Callable[[Sequence[str]], None]) -> RunSummary:
+    design, folder = job.design, job.folder
     state = _State(job, _read_records(folder, (check, *steps)), _read_log(folder))
     if not state.is_current(check):
         figures = check.work(job)

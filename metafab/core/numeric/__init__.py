@@ -1,6 +1,7 @@
 """Numerics that several rooms share.
 
 - ``compiled``        compilation of kernels by numba
+- ``ahead``           compilation by further processes, while a run goes on
 - ``lanes``           complex arithmetic on eight independent problems at a time
 - ``interpolation``   on a centred grid, by splines, and of a maximum between samples
 - ``bicubic_spline``  bicubic splines on tiles, and their errors

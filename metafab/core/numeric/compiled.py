@@ -1,14 +1,32 @@
-"""Compilation of numerical kernels by numba, cached on disk."""
+"""Compilation of numerical kernels by numba, cached on disk, once among the processes that share a cache."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
 import numba.extending
+from numba.core.compiler_lock import global_compiler_lock
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+
+#: Seconds that a process waits for another one to compile the kernels of a file (the longest take 3 s).
+_LONGEST_WAIT_S = 20.0
+_POLL_S = 0.005
+#: Files whose kernels this process is compiling.
+_held: set[str] = set()
+#: Called after the next compilation, then forgotten.
+_followers: list[Callable[[], None]] = []
 
 
 def inlined(function: Function) -> Function:
@@ -22,6 +40,58 @@ def compiled(function: Function) -> Function:
 
     Division follows NumPy (x / 0 is infinite, nothing is raised), which lets loops with quotients be vectorised. The
     interpreter lock is released, so that :func:`metafab.core.parallel.executor.spread` can run parts of a loop in
-    threads: numba's own parallel loops take three times as long to compile.
+    threads: numba's own parallel loops take three times as long to compile. A process that needs a kernel while another
+    one compiles it waits and reads it from the cache.
     """
-    return cast("Function", numba.njit(cache=True, nogil=True, fastmath=False, error_model="numpy")(function))
+    options: Any = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy", "no_cfunc_wrapper": True}
+    kernel: Any = numba.njit(**options)(function)
+    if hasattr(kernel, "compile"):  # numba is not disabled
+        kernel.compile = partial(_compile_once, kernel, kernel.compile, function.__code__.co_filename)
+    return cast("Function", kernel)
+
+
+@contextmanager
+def after_first_compilation(follow: Callable[[], None]) -> Iterator[None]:
+    """Call ``follow`` within this block when a kernel had to be compiled, once, in the thread that compiled it."""
+    _followers.append(follow)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):
+            _followers.remove(follow)
+
+
+def _compile_once(kernel: Any, compile_or_load: Callable[[Any], Any], source: str, arguments: Any) -> Any:
+    """Compile ``kernel`` of the file ``source`` for the types of ``arguments``, or load it from the cache."""
+    # The order of the locks: a thread that waited for the compiler with a file locked would stop the one that compiles.
+    with global_compiler_lock, _alone_with(source):
+        misses = sum(kernel.stats.cache_misses.values())
+        entry_point = compile_or_load(arguments)
+        was_compiled = sum(kernel.stats.cache_misses.values()) > misses
+    if was_compiled and not _held and _followers:
+        _followers.pop()()
+    return entry_point
+
+
+@contextmanager
+def _alone_with(source: str) -> Iterator[None]:
+    """Lock the file ``source`` against other processes; unguarded without locks, and after the longest wait."""
+    if fcntl is None or source in _held:
+        yield
+        return
+    _held.add(source)
+    try:
+        with Path(source).open("rb") as stream:
+            end_s = time.monotonic() + _LONGEST_WAIT_S
+            while time.monotonic() < end_s:
+                try:
+                    fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                except BlockingIOError:
+                    time.sleep(_POLL_S)
+                except OSError:  # a file system without locks
+                    break
+                else:
+                    break
+            yield
+    finally:
+        _held.discard(source)
