@@ -3,7 +3,9 @@
 A deflector, a splitter or a grating repeats after some pillars, exactly or nearly: a phase that turns once in 13.1
 pillars has the same sizes after 13, or sizes a step beside them. The library's t of the pillars tells the repeat by its
 autocorrelation. Windows of one repeat, spread over the mask, are solved as periodic supercells; their mean is the
-efficiency of each order far from the rim, their spread is part of its error.
+efficiency of each order far from the rim, their spread is part of its error. All windows are solved at a coarse
+resolution, and as many of them at a fine one as the mean change between the two needs: it differs little from window to
+window, whereas the fine resolution takes four times as long.
 """
 
 from __future__ import annotations
@@ -18,6 +20,7 @@ import numpy as np
 from metafab.cell.curved.supercell import count_functions
 from metafab.cell.elements.basis import basis_of
 from metafab.cell.elements.solve import orders_at
+from metafab.cell.pillar import PillarCell
 from metafab.cell.supercell import IntArray, Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
 from metafab.core.errors import InputError
@@ -34,8 +37,9 @@ _BLOCK_SITES, _LONGEST_SITES = 128, 40
 #: Least correlation of a block with itself, up to a phase, shifted by a repeat or a multiple of it: snapping to sizes
 #: takes 0.01 to 0.1. Largest phase after a repeat, turns: the seam of a periodic window loses 1 - sinc^2 = 0.8 % there.
 _ALIKE, _TURNED = 0.85, 0.05
-#: Windows along an axis that are compared, and most windows that are solved.
-_PLACES, _WINDOWS = 8, 8
+#: Windows along an axis that are compared, most windows that are solved, and those of them that are solved at the fine
+#: resolution at first: more follow in pairs until the mean change is known to this share of the bound that it gives.
+_PLACES, _WINDOWS, _FINE_WINDOWS, _KNOWN = 8, 8, 3, 0.5
 #: Processor time that the solutions may take in a run; seconds per cubed number of functions, measured on a slow core.
 _LIMIT_S, _PER_CUBE_S = 60.0, 2.5e-9
 #: Ascending polynomial orders of rectangles and of curved outlines.
@@ -79,15 +83,11 @@ def measure_orders(
         text = f"each repeat of {shape} takes about {seconds / 60.0:.2g} min of processor time"
         return OrdersFigures(reason=f"{text}; `metafab coupling` solves single rows")
     chosen = np.unique(np.linspace(0, len(supercells) - 1, count).round().astype(int))
-    found = []
-    for done, each in enumerate(
-        in_order(executor or SerialExecutor(), _solve, [supercells[i] for i in chosen]), start=1
-    ):
-        found.append(each)
-        progress("supercells", done, len(chosen))
+    supercells, weight = [supercells[i] for i in chosen], windows.weight[chosen]
+    found = _solve_windows(supercells, weight, executor or SerialExecutor(), progress)
     drift = tuple(_drift(blocks, axis, repeat[axis]) for axis in (1, 0))
-    unsolved = 1.0 - (1.0 - windows.unseen) * len(chosen) / len(supercells)
-    return _figures([supercells[i] for i in chosen], windows.weight[chosen], found, library, drift, unsolved)
+    unsolved = 1.0 - (1.0 - windows.unseen) * len(chosen) / len(windows.sizes_nm)
+    return _figures(supercells, weight, found, library, drift, unsolved)
 
 
 def _blocks(pillars: PillarMap) -> Iterator[FloatArray]:
@@ -171,8 +171,8 @@ def _windows(pillars: PillarMap, shape: tuple[int, int]) -> _Windows:
     return _Windows([groups[i][0] for i in chosen], np.array([len(groups[i]) for i in chosen], float), unseen)
 
 
-def _resolutions(supercell: Supercell) -> tuple[float, ...]:
-    return _CURVED_RESOLUTIONS if supercell.cell.is_shaped else _RESOLUTIONS
+def _resolutions(cell: PillarCell) -> tuple[float, float]:
+    return _CURVED_RESOLUTIONS if cell.is_shaped else _RESOLUTIONS
 
 
 def _seconds(supercell: Supercell) -> float:
@@ -180,7 +180,7 @@ def _seconds(supercell: Supercell) -> float:
     turned = supercell.exchanged() if supercell.shape[1] == 1 else supercell
     lights = POLARISATIONS if 1 in supercell.shape else POLARISATIONS[:1]
     cubes = 0.0
-    for resolution in _resolutions(supercell):
+    for resolution in _resolutions(supercell.cell):
         for light in lights:
             curved = supercell.cell.is_shaped
             count = count_functions(turned, resolution) if curved else basis_of(turned, light, resolution).sizes[0]
@@ -188,13 +188,68 @@ def _seconds(supercell: Supercell) -> float:
     return cubes * _PER_CUBE_S
 
 
-def _solve(supercell: Supercell) -> tuple[ComplexArray, FloatArray, FloatArray]:
-    """Amplitudes, shape (n_orders, out, in), efficiencies, shape (2, n_orders), and the change of these."""
-    order, efficiency = supercell.propagating_orders("x"), []
-    for resolution in _resolutions(supercell):
-        t = orders_at(supercell, POLARISATIONS, resolution)
-        efficiency.append(_efficiency(supercell, order, t))
-    return t, efficiency[-1], efficiency[-1] - efficiency[-2]
+@dataclass(frozen=True)
+class _Solved:
+    """Windows at the coarse resolution, and some of them at the fine one."""
+
+    coarse: FloatArray  #: Efficiencies, shape (n_windows, 2, n_orders).
+    fine: IntArray  #: Indices of the windows that were solved at the fine resolution, shape (n_fine,).
+    t: ComplexArray  #: Their amplitudes, shape (n_fine, n_orders, out, in).
+    change: FloatArray  #: Efficiencies of these windows less the coarse ones, shape (n_fine, 2, n_orders).
+
+
+def _solve_windows(
+    supercells: Sequence[Supercell], weight: FloatArray, executor: Executor, progress: Progress
+) -> _Solved:
+    """Solve all windows at the coarse resolution, and at the fine one until the mean change is known."""
+    (low, high), count, cell = _resolutions(supercells[0].cell), len(supercells), supercells[0].cell
+    coarse = []
+    for done, (_, efficiency) in enumerate(in_order(executor, _solve, [(each, low) for each in supercells]), 1):
+        coarse.append(efficiency)
+        progress("supercells", done, count)
+    # Both ends of the mask and its middle come first.
+    order = list(dict.fromkeys([0, count - 1, count // 2, *range(count)]))
+    t: list[ComplexArray] = []
+    change: list[FloatArray] = []
+    fine = 0
+    while fine < count:
+        step = order[fine : (fine + 2 if fine else _FINE_WINDOWS)]
+        for i, (amplitude, efficiency) in zip(
+            step, in_order(executor, _solve, [(supercells[i], high) for i in step]), strict=True
+        ):
+            t.append(amplitude)
+            change.append(efficiency - coarse[i])
+            fine += 1
+            progress("supercells, finer", fine, count)
+        solved = _Solved(np.array(coarse), np.array(order[:fine]), np.array(t), np.array(change))
+        _, error, truncation = _correction(solved, weight, cell)
+        if np.all(error <= _KNOWN * truncation):
+            break
+    return solved
+
+
+def _solve(work: tuple[Supercell, float]) -> tuple[ComplexArray, FloatArray]:
+    """Amplitudes at a resolution, shape (n_orders, out, in), and efficiencies, shape (2, n_orders)."""
+    supercell, resolution = work
+    t = orders_at(supercell, POLARISATIONS, resolution)
+    return t, _efficiency(supercell, supercell.propagating_orders("x"), t)
+
+
+def _mean(values: FloatArray, weight: FloatArray, unsolved: float) -> tuple[FloatArray, FloatArray]:
+    """Weighted mean over windows, axis 0, and its standard error where a share of the windows is not solved."""
+    share = weight / weight.sum()
+    mean = np.tensordot(share, values, axes=1)
+    variance = np.tensordot(share, (values - mean) ** 2, axes=1)
+    return mean, np.sqrt(variance * unsolved / max(len(values) - 1, 1))
+
+
+def _correction(found: _Solved, weight: FloatArray, cell: PillarCell) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mean change, its standard error, and the bound on the error of fine efficiencies; shape (2, n_orders) each."""
+    of_fine = weight[found.fine]
+    mean, error = _mean(found.change, of_fine, 1.0 - len(found.fine) / len(weight))
+    size, _ = _mean(np.abs(found.change), of_fine, 0.0)
+    part = _SHARE_CURVED if cell.is_shaped else _SHARE
+    return mean, error, part * size + _FLOOR / _resolutions(cell)[-1] ** 2
 
 
 def _efficiency(supercell: Supercell, order: IntArray, t: ComplexArray) -> FloatArray:
@@ -205,31 +260,30 @@ def _efficiency(supercell: Supercell, order: IntArray, t: ComplexArray) -> Float
 def _figures(
     supercells: Sequence[Supercell],
     weight: FloatArray,
-    found: Sequence[tuple[ComplexArray, FloatArray, FloatArray]],
+    found: _Solved,
     library: Library,
     drift: Sequence[Sequence[float]],
     unsolved: float,
 ) -> OrdersFigures:
     """Weighted means over the windows; ``drift`` are turns after a repeat, along x and y, of both polarisations."""
     one = supercells[0]
-    order, share = one.propagating_orders("x"), weight / weight.sum()
+    order = one.propagating_orders("x")
     lone = []
     for supercell in supercells:
         t = np.zeros((len(order), 2, 2), dtype=np.complex128)
         for p, responses in enumerate(library_responses(supercell, library)):
             t[:, p, p] = supercell.local_period(order, responses)
         lone.append(t)
-    solved = np.array([each[0] for each in found])
-    field_error = np.linalg.norm(solved - lone) / np.linalg.norm(lone)
-    full, change = (np.array([each[i] for each in found]) for i in (1, 2))
+    of_fine = np.array(lone)[found.fine]
+    field_error = np.linalg.norm(found.t - of_fine) / np.linalg.norm(of_fine)
     # As in the PSFs, a site carries the flux |t|^2 n_out / n_in of its lattice into the direction of the order.
     carried = np.array([n_out.real / n_in.real for n_out, n_in in zip(one.cell.n_out, one.cell.n_in, strict=True)])
-    by_library = np.einsum("w,wopp->po", share, np.abs(lone) ** 2) * carried[:, None]
-    mean = np.einsum("w,wpo->po", share, full)
-    spread = np.sqrt(np.einsum("w,wpo->po", share, (full - mean) ** 2) * unsolved / max(len(found) - 1, 1))
+    by_library = np.einsum("w,wopp->po", weight / weight.sum(), np.abs(lone) ** 2) * carried[:, None]
+    change, change_error, truncation = _correction(found, weight, one.cell)
+    mean, spread = _mean(found.coarse, weight, unsolved)
+    mean += change
     seam = 1.0 - np.prod(np.sinc(np.array(drift)) ** 2, axis=0)
-    part = _SHARE_CURVED if one.cell.is_shaped else _SHARE
-    truncation = part * np.einsum("w,wpo->po", share, np.abs(change)) + _FLOOR / _resolutions(one)[-1] ** 2
+    numerical = truncation + change_error
     rows = []
     for p, light in enumerate(POLARISATIONS):
         turns = order + np.array([drift[0][p], drift[1][p]])
@@ -247,9 +301,11 @@ def _figures(
                     angle_y_deg=float(along[1]),
                     efficiency=float(mean[p, i]),
                     library_efficiency=float(by_library[p, i]),
-                    error=float(truncation[p, i] + spread[p, i] + seam[p] * mean[p, i]),
+                    error=float(numerical[p, i] + spread[p, i] + seam[p] * mean[p, i]),
                     wanted=bool(wanted[i]),
                 )
             )
     n_y, n_x = one.shape
-    return OrdersFigures(sites=(n_x, n_y), windows=len(found), orders=tuple(rows), coupling_error=float(field_error))
+    return OrdersFigures(
+        sites=(n_x, n_y), windows=len(supercells), orders=tuple(rows), coupling_error=float(field_error)
+    )
