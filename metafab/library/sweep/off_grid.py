@@ -129,11 +129,13 @@ class OffGridSampler:
         if off_grid.models is None:
             return off_grid
         slope = amplitude_slopes(off_grid.models.best, self.grid.width_nm, self.grid.length_nm)
+        on_grid = {self._fine_number(*divmod(number, self.grid.width_nm.size)) for number in self._sampling.solved}
         for _ in range(self._limits.steep_rounds):
             bound = self.certified_errors(off_grid)[1] + off_grid.between_error
             worst = worst_points(self.grid, bound, (bound <= target).ravel(), self._limits.steep_sizes)
             places = (self._places(slope, *divmod(int(k), self.grid.width_nm.size)) for k in worst)
-            open_places = ([number for number in each if number not in off_grid.solved][:1] for each in places)
+            known = on_grid | off_grid.solved.keys()
+            open_places = ([number for number in each if number not in known][:1] for each in places)
             batch = np.array(list(dict.fromkeys(number for each in open_places for number in each)), dtype=np.intp)
             if not batch.size:
                 break
@@ -170,7 +172,11 @@ class OffGridSampler:
         window = slope[top : row * SUBSTEPS + half + 1, left : column * SUBSTEPS + half + 1]
         down, right = np.unravel_index(int(np.argmax(window)), window.shape)
         steepest = (top + int(down)) * scale * self.fine.width_nm.size + (left + int(right)) * scale
-        return steepest, row * PARTS * self.fine.width_nm.size + column * PARTS
+        return steepest, self._fine_number(row, column)
+
+    def _fine_number(self, row: int, column: int) -> int:
+        """Number on the finer grid of a size."""
+        return row * PARTS * self.fine.width_nm.size + column * PARTS
 
 
 def _disagreement(grid: SizeGrid, models: RankedModels) -> FloatArray:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from metafab.cell import CellNumerics, PillarCell, pillar_cell, solve
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.parallel.forked import shared
 from metafab.library.library import Library
 
 #: Sizes that are solved, each standing for an equal share of the pillars; an rms needs fewer than a maximum.
@@ -21,7 +22,11 @@ SAMPLES = 16
 
 
 def oblique_field_error(
-    library: Library, size_nm: FloatArray, pillars: NDArray[np.integer], tangent: tuple[float, float]
+    library: Library,
+    size_nm: FloatArray,
+    pillars: NDArray[np.integer],
+    tangent: tuple[float, float],
+    workers: int | None = None,
 ) -> float | None:
     """Return the relative rms change of a mask's zero-order field under light from a direction, common phase left out.
 
@@ -30,6 +35,7 @@ def oblique_field_error(
         size_nm: shape (n, 2), width and length of each size of the mask.
         pillars: shape (n,), number of pillars of each size.
         tangent: direction of the light (x/z, y/z) before the substrate.
+        workers: processes that solve; None for all cores.
 
     Returns:
         The larger of both polarisations'; None where RCWA is slow at an angle (other outlines than rectangles, sloped
@@ -50,12 +56,14 @@ def oblique_field_error(
     angle_deg = math.degrees(math.asin(slope / math.hypot(1.0, slope) / n_in.real))
     azimuth_deg = math.degrees(math.atan2(tangent[1], tangent[0]))
     oblique = [pillar_cell(library.unit_cell, *size, angle_deg=angle_deg, azimuth_deg=azimuth_deg) for size in sizes]
-    return _largest_change(_transmitted(straight), _transmitted(oblique))
+    # The dear ones first, so that all processes end together.
+    t = np.array(list(shared(_transmitted, [*oblique, *straight], workers)))
+    return _largest_change(t[len(oblique) :], t[: len(oblique)])
 
 
-def _transmitted(cells: list[PillarCell]) -> ComplexArray:
-    """Zero-order t_xx and t_yy of each cell, shape (n, 2)."""
-    return np.array([np.diagonal(solve(cell, CellNumerics(target_error=_SOLVER_ERROR)).t) for cell in cells])
+def _transmitted(cell: PillarCell) -> ComplexArray:
+    """Zero-order t_xx and t_yy, shape (2,)."""
+    return np.diagonal(solve(cell, CellNumerics(target_error=_SOLVER_ERROR)).t)
 
 
 def _largest_change(before: ComplexArray, after: ComplexArray) -> float:

@@ -283,7 +283,7 @@ def _oblique_error(job: Job, pillars: PillarMap) -> float | None:
     corner = field_corner(job.design, Imaging.of(job.design))
     if corner is None:
         return None
-    return oblique_field_error(open_library(job), pillars.size_nm(), pillars.numbers(), corner)
+    return oblique_field_error(open_library(job), pillars.size_nm(), pillars.numbers(), corner, job.work.workers)
 
 
 PSF = Step(

@@ -46,17 +46,24 @@ CONSISTENT = 1e-10
 
 
 @dataclass(frozen=True)
-class Doubling:
-    """F and G of a layer and, if they are kept for derivatives in reverse mode, the steps of the doubling."""
+class DoublingSteps:
+    """Steps of a doubling, for derivatives in reverse mode."""
 
-    f: Matrix  #: Shape (n, n).
-    g: Matrix  #: Shape (n, n).
     powers: Matrix  #: Shape (4, n, n), powers 1 to 4 of A = P Q.
     thin_k0: float  #: Thickness of the thin slab times k0.
     thin: Matrix  #: Shape (n, n), F of the thin slab.
-    ratios: tuple[Matrix, ...] = ()  #: G F^-1 before each doubling, shape (n, n) each; empty if not kept.
-    #: LU factors of the transposes of the thin slab's denominator and of its F; empty if not kept.
-    factors: tuple[tuple[Matrix, Matrix], ...] = ()
+    ratios: tuple[Matrix, ...]  #: G F^-1 before each doubling, shape (n, n) each.
+    #: LU factors of the transposes of the thin slab's denominator and of its F.
+    factors: tuple[tuple[Matrix, Matrix], ...]
+
+
+@dataclass(frozen=True)
+class Doubling:
+    """F and G of a layer."""
+
+    f: Matrix  #: Shape (n, n).
+    g: Matrix  #: Shape (n, n).
+    steps: DoublingSteps | None  #: Where they are kept.
 
 
 @dataclass(frozen=True)
@@ -145,7 +152,8 @@ def doubled(
     halvings = _halvings(powers, thickness_k0, largest_a)
     if halvings is None:
         return None
-    thin_k0, ratios = thickness_k0 / 2.0**halvings, []
+    thin_k0 = thickness_k0 / 2.0**halvings
+    ratios: list[Matrix] = []
     factors: list[tuple[Matrix, Matrix]] | None = [] if keep else None
     numerator, denominator = lambert(powers, thin_k0)
     f, g = _quotient(numerator, denominator, factors), powers[0]
@@ -163,7 +171,8 @@ def doubled(
             ratios.append(ratio)
     if f is None or thin is None:
         return None
-    return Doubling(f, g, powers, thin_k0, thin, tuple(ratios), tuple(factors or ()))
+    steps = None if factors is None else DoublingSteps(powers, thin_k0, thin, tuple(ratios), tuple(factors))
+    return Doubling(f, g, steps)
 
 
 def _powers(p: Matrix, q: Matrix) -> Matrix:

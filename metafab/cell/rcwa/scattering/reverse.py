@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from metafab.cell.rcwa.basis.coordinates import Matrix
-from metafab.cell.rcwa.scattering.doubling import Doubling, lambert_coefficients
+from metafab.cell.rcwa.scattering.doubling import Doubling, DoublingSteps, lambert_coefficients
 
 
 def pull_back_doubled(layer: Doubling, left: Matrix, right: Matrix) -> Matrix:
@@ -25,10 +25,12 @@ def pull_back_doubled(layer: Doubling, left: Matrix, right: Matrix) -> Matrix:
     ``layer`` holds F with its steps, which were kept; ``left`` has the shape (k, n, r) and ``right`` (n, r). With a_bar
     the result, the derivatives by P and Q are a_bar Q^T and P^T a_bar.
     """
+    steps = layer.steps
+    assert steps is not None  # kept for this
     n, rank = right.shape
     left = np.ascontiguousarray(left.transpose(1, 0, 2))
     of_f, of_g = np.eye(rank), np.zeros((rank, rank))
-    ratios = list(layer.ratios)
+    ratios = list(steps.ratios)
     while len(ratios) > 1 and 2 * right.shape[1] <= n:
         ratio, late = ratios.pop(), of_g - of_f
         left, right = _with_products(ratio.T, left), _with_products(ratio, right)
@@ -36,17 +38,17 @@ def pull_back_doubled(layer: Doubling, left: Matrix, right: Matrix) -> Matrix:
         of_g = 0.5 * np.block([[nothing, late], [late, nothing]])
         of_f = np.block([[of_f, nothing], [nothing, -0.5 * late]])
     if len(ratios) > 1:
-        return _pull_back_full(layer, ratios, *((left @ core @ right.T).transpose(1, 0, 2) for core in (of_f, of_g)))
+        return _pull_back_full(steps, ratios, *((left @ core @ right.T).transpose(1, 0, 2) for core in (of_f, of_g)))
     if not ratios:
-        return _pull_back_thin_slab(layer, left, right, (left[..., :0], right[:, :0]))
+        return _pull_back_thin_slab(steps, left, right, (left[..., :0], right[:, :0]))
     # G' = (F + A F^-1) / 2 of the thin slab.
-    late, over = 0.5 * (of_g - of_f), _solved(layer.factors[1], right, transposed=True)
-    both = _with_products(layer.ratios[0].T, left)
+    late, over = 0.5 * (of_g - of_f), _solved(steps.factors[1], right, transposed=True)
+    both = _with_products(steps.ratios[0].T, left)
     weighted = np.concatenate([left @ (of_f + late), -both[..., right.shape[1] :] @ late], axis=-1)
-    return _pull_back_thin_slab(layer, weighted, np.hstack([right, over]), (left @ late, over))
+    return _pull_back_thin_slab(steps, weighted, np.hstack([right, over]), (left @ late, over))
 
 
-def _pull_back_full(layer: Doubling, ratios: list[Matrix], f_bar: Matrix, g_bar: Matrix) -> Matrix:
+def _pull_back_full(steps: DoublingSteps, ratios: list[Matrix], f_bar: Matrix, g_bar: Matrix) -> Matrix:
     """The reverse from weights of F and G as full matrices, shape (k, n, n); ``ratios`` of the doublings before."""
     for ratio in reversed(ratios[1:]):
         late = g_bar - f_bar
@@ -54,26 +56,26 @@ def _pull_back_full(layer: Doubling, ratios: list[Matrix], f_bar: Matrix, g_bar:
         g_bar, f_bar = 0.5 * (late @ ratio.T + turned), f_bar - 0.5 * turned @ ratio.T
     late = 0.5 * (g_bar - f_bar)
     # The rows of late F^-T are columns of F^-1 late^T.
-    over = _solved(layer.factors[1], late.transpose(2, 0, 1), transposed=True).transpose(1, 2, 0)
+    over = _solved(steps.factors[1], late.transpose(2, 0, 1), transposed=True).transpose(1, 2, 0)
     left = (f_bar + late - ratios[0].T @ over).transpose(1, 0, 2)
     nothing = np.zeros((len(late[0]), 0))
-    return over + _pull_back_thin_slab(layer, left, np.eye(len(nothing)), (left[..., :0], nothing))
+    return over + _pull_back_thin_slab(steps, left, np.eye(len(nothing)), (left[..., :0], nothing))
 
 
-def _pull_back_thin_slab(layer: Doubling, left: Matrix, right: Matrix, more: tuple[Matrix, Matrix]) -> Matrix:
+def _pull_back_thin_slab(steps: DoublingSteps, left: Matrix, right: Matrix, more: tuple[Matrix, Matrix]) -> Matrix:
     """Derivative by A of sum(f_bar * F) of the thin slab, shape (k, n, n), and the weights of A itself in ``more``.
 
     Weights of both are products of columns (n, k, r) and (n, r). With N = sum c_k A^k and D = sum d_k A^k,
     dF = D^-1 (dN - dD F) and d(A^k) = sum A^j dA A^(k - 1 - j).
     """
     (n, count), rank = left.shape[:2], right.shape[1]
-    solved = _solved(layer.factors[0], left).reshape(n, -1)
-    late = np.concatenate([solved[None], layer.powers[:3].transpose(0, 2, 1) @ solved]).reshape(4, n, count, rank)
-    early = _with_products(layer.thin, right)
-    early = np.concatenate([early[None], layer.powers[:3] @ early])
+    solved = _solved(steps.factors[0], left).reshape(n, -1)
+    late = np.concatenate([solved[None], steps.powers[:3].transpose(0, 2, 1) @ solved]).reshape(4, n, count, rank)
+    early = _with_products(steps.thin, right)
+    early = np.concatenate([early[None], steps.powers[:3] @ early])
     # Rows: the power of A before dA; columns: the power behind it.
     power = 1 + np.add.outer(np.arange(4), np.arange(4))
-    of_n, of_d = (np.where(power < 5, each[np.minimum(power, 4)], 0.0) for each in lambert_coefficients(layer.thin_k0))
+    of_n, of_d = (np.where(power < 5, each[np.minimum(power, 4)], 0.0) for each in lambert_coefficients(steps.thin_k0))
     mixed = np.tensordot(np.hstack([of_n, -of_d]), np.concatenate([early[..., :rank], early[..., rank:]]), axes=1)
     columns = np.concatenate([*late, more[0]], axis=-1).transpose(1, 0, 2)
     rows = np.concatenate([*mixed, more[1]], axis=-1)

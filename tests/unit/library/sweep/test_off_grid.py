@@ -139,6 +139,21 @@ def test_the_finer_grid_holds_the_sizes_and_numbers_of_its_own(cell: UnitCell, s
     np.testing.assert_allclose([(pillar.width_nm, pillar.length_nm) for pillar in asked], sizes_nm)
 
 
+def test_a_size_that_is_solved_on_the_grid_is_not_solved_off_it(
+    cell: UnitCell, grid: SizeGrid, sampling: GridSampling, solving: Solving
+) -> None:
+    limits = RoundLimits(steep_rounds=3, steep_sizes=grid.size)
+    sampler = OffGridSampler(cell, sampling, solving(partial(grid.cell, cell)), limits)
+    start = OffGridSampling({}, sampling.models, np.zeros(grid.shape), np.zeros(grid.shape))
+    after = sampler.sample_steep_places(start, 0.0)
+    on, off = (
+        {tuple(size) for size in np.stack(its_grid.sizes_nm(np.array(list(solved))), axis=-1).round(6).tolist()}
+        for its_grid, solved in ((grid, sampling.solved), (sampler.fine, after.solved))
+    )
+    assert off
+    assert not on & off
+
+
 def test_steep_places_are_solved_until_the_target_holds_between_the_sizes(
     unit_cell: UnitCell,
 ) -> None:
