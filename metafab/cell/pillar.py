@@ -65,6 +65,11 @@ class PillarCell:
     hole_nm: float = 0.0
 
     @property
+    def layer(self) -> Slice:
+        """The layer of an upright pillar."""
+        return Slice(self.height_nm, self.n_pillar, self.n_ambient)
+
+    @property
     def is_shaped(self) -> bool:
         """Whether the cross-section is more than one rectangle."""
         return self.shape != "rectangle" or self.corner_radius_nm > 0.0

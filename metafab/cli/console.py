@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 
 #: Least time between two drawings of the bars (s).
 _REDRAW_S = 0.1
-#: Fewest units and seconds that measure the pace of a step. Three of eight kinds of rows; a chunk of cells is four.
+#: Fewest units of work and seconds from which the pace of a step is estimated: three rows of each of eight kinds, or
+#: six chunks of four cells.
 _PACE_UNITS, _PACE_S = 24, 2.0
 
 
@@ -61,7 +62,10 @@ def open_work(workers: int | None = None, cluster: str | None = None) -> Iterato
 
 
 def pace(progress: Progress, known: Container[str]) -> Progress:
-    """Announce once a step what its first units took, and what the others will take in the steps of a known number."""
+    """Announce the time of each step's first units once, and that of the rest for the ``known`` steps.
+
+    The others find their number of units as they go.
+    """
     began: dict[str, tuple[float, float]] = {}
     announced: set[str] = set()
 
@@ -74,7 +78,7 @@ def pace(progress: Progress, known: Container[str]) -> Progress:
             return
         announced.add(step)
         left = f"; the other {total - done:g} take about {(total - done) * spent_s / units:.2g} s" * (step in known)
-        announce([f"{step}: {units:g} took {spent_s / units:.2g} s each{left}"])
+        announce([f"{step}: the first {units:g} took {spent_s / units:.2g} s each{left}"])
 
     return advance
 

@@ -118,7 +118,7 @@ class _Opened:
 
     @property
     def lines(self) -> int:
-        """Number of paths without width: edges, in software that has these."""
+        """Number of paths without width, as which some software writes edges."""
         paths = self.pillars.dup()
         paths.shape_flags = _klayout().Shapes.SPaths
         return sum(at.shape().path_width == 0 for at in paths.each())

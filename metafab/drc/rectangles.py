@@ -19,7 +19,7 @@ from metafab.mask.read import Shapes
 from metafab.mask.shapes.hierarchy import Chunk, IntArray
 from metafab.spec import Design
 
-# Rules of pairs: too near; of these overlapping or touching; of these equal.
+# Rules of pairs, each for some of the pairs of the one before: too near, overlapping or touching, equal.
 _PAIR_RULES = ("min_gap", "overlap", "duplicate")
 _VISIBLE = {"min_width", "min_length", "aspect_ratio", "grid", "foreign", *_PAIR_RULES}
 

@@ -33,7 +33,7 @@ _DOSE_BOUNDS = (0.2, 5.0)
 
 @dataclass(frozen=True, eq=False)
 class LensDoses:
-    """A lens and the doses of its pillars, which equal those of all other lenses."""
+    """A lens and the doses of its pillars; other lenses have the same doses until :meth:`at` states theirs."""
 
     process: Printing  #: Its drawn pattern among everything else.
     number: int  #: Number of the lens on the wafer, by which others refer to it.
@@ -56,7 +56,7 @@ def corrected(lenses: Sequence[LensDoses], progress: Progress) -> tuple[list[Len
     """Find the doses at which the mean size error of each pillar's width and length vanishes, by Newton's method.
 
     The derivative assumes that the doses of neighbours change by the same factor. Returns the lenses with their doses
-    and the number of rounds; lenses alone with equal pillars share one array.
+    and the number of rounds; lenses with nothing in reach share one array.
     """
     first = lenses[0]
     for rounds in range(1, _MOST_ROUNDS + 1):

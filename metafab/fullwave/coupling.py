@@ -29,7 +29,8 @@ from metafab.layout import PillarMap
 from metafab.library import Library
 
 Solver = Literal["rcwa", "meep"]
-#: Rings of a steep lens, each by one row; target error of the rows' amplitudes, against couplings of 0.2 to 0.5.
+#: Rings of a steep lens, each measured on one row; target error of the rows' amplitudes. Couplings there are 0.2 to
+#: 0.5.
 _RINGS, _RINGS_TARGET = 3, 0.02
 #: Most functions of a row with curved outlines, some ten seconds of processor time.
 _MOST_FUNCTIONS = 1500
@@ -115,7 +116,7 @@ def measure_coupling(
         supercell = supercell_at(pillars, library, x, y, shape)[0]
         wanted = (order, 0) if axis == "x" else (0, order)
         if not np.any(np.all(supercell.propagating_orders(light) == wanted, axis=1)):
-            # A local period between whole sites: the shorter row sends no light into the order.
+            # The local period lies between two whole numbers of sites; with the smaller one, the order is evanescent.
             expected, got = "a row longer than a wavelength behind the pillars", f"{sites} sites"
             raise InputError.single("coupling", "place", expected, got, "choose a point nearer to the axis")
         if solver == "meep":

@@ -16,7 +16,7 @@ from metafab.spec import Design
 
 #: GDSII and most readers hold coordinates as 32-bit integers; the centre of the lens is 0.
 MAX_APERTURE_DBU = 2**31
-#: Units along a unit cell. Finer grids would need tables of sizes larger than the memory; no writer has one.
+#: Most units along a unit cell: with more, a table of sizes would exceed the memory. No writer's grid is so fine.
 MAX_CELL_DBU = 2**15
 
 #: Places per side at which the phase slope is sampled.

@@ -110,14 +110,15 @@ class Rules(Checked):
     #: Standard deviation of a common bias of width and length in fabrication; the mapping then avoids sizes with a
     #: steep phase.
     cd_sigma_nm: NonNegative = 0.0
-    #: Choose sizes for the light that pillars have among their neighbours, by the library's model of them: one by one,
-    #: or, with "table", by one look-up that is made from a sample of the mask.
+    #: Whether sizes are chosen for the light of pillars among their own neighbours, by the library's model: true for
+    #: each pillar by itself, "table" by one table of sizes over the target phases, made from a sample of the mask.
     neighbours: Annotated[Literal[False, True, "table"], BeforeValidator(_no_number)] = False
     #: Use only sizes that respond equally to both polarisations by symmetry: equal width and length, or crosses, in a
     #: square cell.
     polarisation_independent: Flag = False
-    #: Phase of y polarisation minus that of x: "kept" as the phase terms say, as light of both needs (wave plates), or
-    #: "free" to suit the library; "auto" keeps it where the terms of x and y differ by a constant other than 0.
+    #: Constant part of the phase of y polarisation minus that of x: "kept" as the phase terms say, which wave plates
+    #: need, or "free" to suit the library; "auto" keeps it where the terms of x and y differ by a constant other than
+    #: 0.
     retardance: Literal["auto", "kept", "free"] = "auto"
 
     def _faults(self) -> Iterator[str]:
@@ -174,7 +175,7 @@ class Verify(Checked):
     target_error: TargetError = 1e-3  #: Target error of the PSFs (relative L2).
     #: Wanted relative error of depth; sets `target_error` and `field_points` so that the numerics take a third of it.
     target_depth_error: Annotated[TargetError | None, Field(description="omitted: these two as given")] = None
-    #: Whether the polarisation of the light bends with its direction.
+    #: Whether propagation is vectorial: the electric field stays perpendicular to each ray.
     vectorial: Annotated[Flag | None, Field(description="omitted: where its effect counts, from an NA near 0.3")] = None
     #: (x, y) of the centre of the PSF windows on the sensor, from the axis.
     centre_um: Annotated[tuple[Real, Real] | None, Field(description="omitted: where the target sends light")] = None

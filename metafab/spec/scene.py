@@ -29,8 +29,8 @@ class SceneObject(Checked):
     centre: tuple[Real, Real] = (0.0, 0.0)  #: Direction of the centre: x/z and y/z.
     size: tuple[Positive, Positive] = (0.01, 0.01)  #: Extent in x/z and y/z.
     outline: Literal["rectangle", "ellipse"] = "rectangle"  #: Shape of the outline.
-    tilt: tuple[Real, Real] = (0.0, 0.0)  #: Change of depth over depth at the centre, along the full size in x and y.
-    #: Change of depth over depth from the centre to the edges in x and y; a ball's is positive.
+    tilt: tuple[Real, Real] = (0.0, 0.0)  #: Relative change of depth across the object in x and y.
+    #: Relative change of depth from the centre to the edges in x and y; positive for a ball.
     bulge: tuple[Real, Real] = (0.0, 0.0)
     brightness: Positive = 1.0  #: Brightness relative to other objects.
     polarisation_contrast: Positive = 1.0  #: I_x / I_y.

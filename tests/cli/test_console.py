@@ -67,8 +67,8 @@ def test_what_is_left_is_foretold_by_the_first_units_where_their_number_is_known
     assert len(seen) == 25 + 25 + 5
     # Four cells in half a second; the 24 after the first four take three seconds.
     assert capsys.readouterr().err.splitlines() == [
-        "metafab: library: 24 took 0.12 s each; the other 72 take about 9 s",
-        "metafab: library over its axes: 24 took 0.12 s each",
+        "metafab: library: the first 24 took 0.12 s each; the other 72 take about 9 s",
+        "metafab: library over its axes: the first 24 took 0.12 s each",
     ]
 
 

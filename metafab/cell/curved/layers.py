@@ -21,8 +21,8 @@ from scipy.linalg import eigh
 
 from metafab.cell.curved.functions import Functions, functions_of
 from metafab.cell.curved.mesh import quarter_mesh
-from metafab.cell.pillar import PillarCell, Slice
-from metafab.cell.rcwa.basis.coordinates import Matrix
+from metafab.cell.elements.assembly import Grams
+from metafab.cell.pillar import PillarCell
 from metafab.cell.rcwa.jones import ZeroOrder, one_thread
 from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
 from metafab.cell.rcwa.scattering.doubling import slab
@@ -63,7 +63,7 @@ def zero_order(cell: PillarCell, order: int) -> ZeroOrder:
 
 
 @dataclass(frozen=True)
-class Waves:
+class MeshWaves:
     """In-plane wave numbers and fields of the TM and TE waves of a uniform medium, each of unit norm."""
 
     k_squared_tm: FloatArray  #: Shape (n_tm,), 1/nm^2.
@@ -86,66 +86,41 @@ class Waves:
 
 @dataclass(frozen=True)
 class MeshMatrices:
-    """Gram matrices of N functions of E and n_z of E_z over a mesh; ``_in`` over the pillars alone."""
+    """Matrices of N functions of E over a mesh."""
 
-    e: FloatArray  #: Shape (N, N), of E.
-    e_in: FloatArray  #: Shape (N, N).
-    inverse: FloatArray  #: Shape (N, N), inverse of ``e``.
-    curl: FloatArray  #: Shape (N, N), of the curl of E.
-    z: FloatArray  #: Shape (n_z, n_z), of E_z.
-    z_in: FloatArray  #: Shape (n_z, n_z).
-    gradient: FloatArray  #: Shape (N, n_z), gradient of each function of E_z among those of E.
+    grams: Grams  #: Gram matrices.
     uniform: FloatArray  #: Shape (n_lights, N), integral of each function's component along each light.
     area_nm2: float  #: Area of the elements.
 
     @classmethod
     def of(cls, functions: Functions, axes: list[int]) -> MeshMatrices:
         """Sum over the elements; ``axes`` are those of the lights."""
-        n_e, n_z = functions.gradient.shape
-        e, e_in, curl, uniform = *(np.zeros((n_e, n_e)) for _ in range(3)), np.zeros((len(axes), n_e))
-        z, z_in, area_nm2 = np.zeros((n_z, n_z)), np.zeros((n_z, n_z)), 0.0
+        uniform = np.zeros((len(axes), len(functions.gradient)))
         for each in functions.elements:
-            at_e, at_z = np.ix_(each.place, each.place), np.ix_(each.place_z, each.place_z)
-            of_e = sum((component * each.weight) @ component.T for component in each.e)
-            of_z = (each.e_z * each.weight) @ each.e_z.T
-            e[at_e] += of_e
-            curl[at_e] += (each.curl * each.weight) @ each.curl.T
-            z[at_z] += of_z
-            if each.is_pillar:
-                e_in[at_e] += of_e
-                z_in[at_z] += of_z
             uniform[:, each.place] += each.e[axes] @ each.weight
-            area_nm2 += float(each.weight.sum())
-        return cls(e, e_in, np.asarray(np.linalg.inv(e)), curl, z, z_in, functions.gradient, uniform, area_nm2)
+        area_nm2 = sum(float(each.weight.sum()) for each in functions.elements)
+        return cls(Grams.of(functions.elements, functions.gradient), uniform, area_nm2)
 
-    def of_layer(self, layer: Slice, k0_per_nm: float) -> tuple[Matrix, Matrix]:
-        """P and Q of a layer, each of shape (N, N), symmetric."""
-        around = permittivity(layer.n_around)
-        contrast = permittivity(layer.n_inside) - around
-        q = around * self.e + contrast * self.e_in - self.curl / k0_per_nm**2
-        of_z = around * self.z + contrast * self.z_in
-        p = self.inverse - self.gradient @ np.linalg.solve(of_z, self.gradient.T) / k0_per_nm**2
-        return 0.5 * (p + p.T), q
-
-    def waves(self) -> Waves:
+    def waves(self) -> MeshWaves:
         """Plane waves of a half space.
 
         On a curved mesh the functions only approximate the uniform fields. The part of these that has a curl is
         removed, so that the waves are orthogonal and power is conserved exactly.
         """
-        lifted = self.e @ self.gradient
-        k_tm, potential = eigh(self.gradient.T @ lifted, self.z)
+        grams = self.grams
+        lifted = grams.e @ grams.gradient
+        k_tm, potential = eigh(grams.gradient.T @ lifted, grams.z)
         static = k_tm < _STATIC * k_tm[-1]  # a constant potential, where no mirror plane excludes it
         k_tm, potential = k_tm[~static], potential[:, ~static]
         # The gradients and the uniform fields have no curl: the other waves are above these in k.
-        k_te, fields = eigh(self.curl, self.e)
+        k_te, fields = eigh(grams.curl, grams.e)
         first = len(k_tm) + len(self.uniform)
-        te = self.e @ fields[:, first:]
+        te = grams.e @ fields[:, first:]
         uniform = self.uniform.T - te @ (fields[:, first:].T @ self.uniform.T)
-        uniform /= np.sqrt(np.sum(uniform * (self.inverse @ uniform), axis=0))
+        uniform /= np.sqrt(np.sum(uniform * (grams.inverse @ uniform), axis=0))
         te = np.concatenate([uniform, te], axis=1)
         k_te = np.concatenate([np.zeros(len(self.uniform)), k_te[first:]])
-        return Waves(k_tm, lifted @ (potential / np.sqrt(k_tm)), k_te, te)
+        return MeshWaves(k_tm, lifted @ (potential / np.sqrt(k_tm)), k_te, te)
 
 
 def order_efficiencies(cell: PillarCell, order: int, sides: Sequence[Sequence[tuple[int, int]]]) -> FloatArray:
@@ -208,11 +183,11 @@ def _solved(cell: PillarCell, light: Polarisation, order: int) -> _Solved:
     waves = matrices.waves()
     n_in, n_out = complex(cell.n_in[axis]), complex(cell.n_out[axis])
     near, far = (waves.admittance(permittivity(n), k0) for n in (n_in, n_out))
-    upwards = (*cell.under, Slice(cell.height_nm, cell.n_pillar, cell.n_ambient), *cell.over)
+    upwards = (*cell.under, cell.layer, *cell.over)
     behind, faces = far, []
     for layer in upwards[::-1] if cell.side == "substrate" else upwards:
         largest = largest_eigenvalue(permittivity(layer.n_inside), permittivity(layer.n_around))
-        both = slab(*matrices.of_layer(layer, k0), k0 * layer.height_nm, largest)
+        both = slab(*matrices.grams.p_and_q(layer, k0), k0 * layer.height_nm, largest)
         if both is None:
             raise SolverError(f"a layer of {cell} is singular in elements of order {order}")
         phi, gamma = both
@@ -224,5 +199,5 @@ def _solved(cell: PillarCell, light: Polarisation, order: int) -> _Solved:
     last = first
     for through in reversed(faces):
         last = through @ last
-    transmitted, reflected = (np.asarray(e, np.complex128) for e in (last, first - matrices.inverse @ uniform))
+    transmitted, reflected = (np.asarray(e, np.complex128) for e in (last, first - matrices.grams.inverse @ uniform))
     return _Solved(functions, matrices, uniform, near, far, transmitted, reflected)

@@ -15,7 +15,7 @@ from metafab.cell.curved.functions import functions_of
 from metafab.cell.curved.layers import MeshMatrices
 from metafab.cell.curved.mesh import Arc, Point, Quad, QuarterMesh, untreated
 from metafab.cell.elements.assembly import Layer, RealWaves
-from metafab.cell.pillar import PillarCell, Slice
+from metafab.cell.pillar import PillarCell
 from metafab.cell.rcwa.basis.coordinates import IntArray
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import POLARISATIONS, Polarisation
@@ -64,9 +64,9 @@ def curved_layer(supercell: Supercell, lights: Sequence[Polarisation], resolutio
     axes = [0, 1] if all(mesh.repeats) else [POLARISATIONS.index(lights[0])]
     matrices = MeshMatrices.of(functions, axes)
     waves, count = matrices.waves(), len(axes)
-    uniform = np.zeros((2, len(matrices.e)))
+    uniform = np.zeros((2, len(matrices.grams.e)))
     uniform[axes] = waves.te[:, :count].T
-    orders = np.zeros((len(order), 2, len(matrices.e)), dtype=np.complex128)
+    orders = np.zeros((len(order), 2, len(matrices.grams.e)), dtype=np.complex128)
     k = supercell.wavevectors_per_um(order) * 1e-3
     for each in functions.elements:
         x, y = np.exp(-1j * np.outer(k[:, 0], each.at[0])), np.exp(-1j * np.outer(k[:, 1], each.at[1]))
@@ -74,7 +74,7 @@ def curved_layer(supercell: Supercell, lights: Sequence[Polarisation], resolutio
             # Over both halves of a row: the light's component is even about its axis, the other one odd.
             along_y = y if all(mesh.repeats) else y.real if axis == axes[0] else 1j * y.imag
             orders[:, axis, each.place] += (x * along_y * each.weight) @ each.e[axis].T
-    p, q = matrices.of_layer(Slice(cell.height_nm, cell.n_pillar, cell.n_ambient), cell.k0_per_nm)
+    p, q = matrices.grams.p_and_q(cell.layer, cell.k0_per_nm)
     tm, te = RealWaves(waves.k_squared_tm, waves.tm.T), RealWaves(waves.k_squared_te[count:], waves.te[:, count:].T)
     return Layer(p, q, tm, te, uniform, orders / matrices.area_nm2, matrices.area_nm2)
 

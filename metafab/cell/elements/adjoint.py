@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from metafab.cell.elements.assembly import Layer, Waves, grams_of, layer_of
+from metafab.cell.elements.assembly import Grams, Layer, Waves, gradient_of
 from metafab.cell.elements.basis import Basis, Element, basis_of, element, elements_of
 from metafab.cell.elements.mesh import mesh_of
 from metafab.cell.elements.solve import FaceSystem, exchanged_places, face_system, other_light
@@ -101,12 +101,12 @@ class _Solved:
     def of(cls, supercell: Supercell, light: Polarisation, basis: Basis, order: IntArray) -> _Solved:
         """Solve a row along x or a block."""
         cell, elements, waves = supercell.cell, elements_of(basis), Waves(basis, order)
-        grams = grams_of(basis, elements, cell)
-        layer = layer_of(elements, grams, waves, cell.k0_per_nm)
+        grams = Grams.of(elements, gradient_of(basis))
+        layer = waves.overlaps(elements, *grams.p_and_q(cell.layer, cell.k0_per_nm))
         system = face_system(layer, supercell, (light,), keep=True)
         fields = system.solve(2.0 * system.source, np.zeros_like(system.source))[..., 0]
-        inverse, lifted = np.linalg.inv(grams.e), np.linalg.solve(grams.z_eps, grams.gradient.T).T
-        return cls(cell, POLARISATIONS.index(light), waves, layer, system, fields, inverse, lifted)
+        lifted = grams.over_eps_z(cell.layer)
+        return cls(cell, POLARISATIONS.index(light), waves, layer, system, fields, grams.inverse, lifted)
 
 
 class _Adjoint:

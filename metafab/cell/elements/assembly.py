@@ -14,13 +14,13 @@ functions of E. No function of the layer is expanded in plane waves: their numbe
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from metafab.cell.elements.basis import Basis, Element
-from metafab.cell.pillar import PillarCell
+from metafab.cell.pillar import Slice
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.scattering.half_space import distinct_root
 from metafab.cell.rcwa.symmetry import permittivity
@@ -45,7 +45,8 @@ class Layer:
     q: Matrix  #: Shape (N, N).
     tm: RealWaves  #: Overlaps with TM waves.
     te: RealWaves  #: Overlaps with TE waves.
-    uniform: FloatArray  #: Shape (2, N), integral of E_x and of E_y of each function over the period, over its root.
+    #: Shape (2, N), integral of E_x and of E_y of each function over the period, divided by the root of its area.
+    uniform: FloatArray
     #: Shape (n_orders, 2, N), mean over the period of E_x and E_y times exp(-i k r) of each order.
     orders: ComplexArray
     area_nm2: float  #: Area of the period.
@@ -67,47 +68,49 @@ class Layer:
 
 @dataclass(frozen=True)
 class Grams:
-    """Gram matrices of the functions of a layer."""
+    """Gram matrices of N functions of E and n_z of E_z over a mesh; ``_in`` over the pillars alone."""
 
     e: FloatArray  #: Shape (N, N), of E.
-    e_eps: Matrix  #: Shape (N, N), of E with the permittivity.
+    e_in: FloatArray  #: Shape (N, N).
+    inverse: FloatArray  #: Shape (N, N), inverse of ``e``.
     curl: FloatArray  #: Shape (N, N), of the curl of E.
-    z_eps: Matrix  #: Shape (n_z, n_z), of E_z with the permittivity.
+    z: FloatArray  #: Shape (n_z, n_z), of E_z.
+    z_in: FloatArray  #: Shape (n_z, n_z).
     gradient: FloatArray  #: Shape (N, n_z), gradient of each function of E_z among those of E.
 
+    @classmethod
+    def of(cls, elements: Iterable[Element], gradient: FloatArray) -> Grams:
+        """Sum over the elements; ``gradient`` as the attribute."""
+        n_e, n_z = gradient.shape
+        (e, e_in, curl), (z, z_in) = np.zeros((3, n_e, n_e)), np.zeros((2, n_z, n_z))
+        for each in elements:
+            at_e, at_z = np.ix_(each.place, each.place), np.ix_(each.place_z, each.place_z)
+            of_e = sum((component * each.weight) @ component.T for component in each.e)
+            of_z = (each.e_z * each.weight) @ each.e_z.T
+            e[at_e] += of_e
+            curl[at_e] += (each.curl * each.weight) @ each.curl.T
+            z[at_z] += of_z
+            if each.is_pillar:
+                e_in[at_e] += of_e
+                z_in[at_z] += of_z
+        return cls(e, e_in, np.asarray(np.linalg.inv(e)), curl, z, z_in, gradient)
 
-def grams_of(basis: Basis, elements: list[Element], cell: PillarCell) -> Grams:
-    """Gram matrices summed over elements."""
-    n_e, n_z = basis.sizes
-    eps = permittivity(cell.n_ambient), permittivity(cell.n_pillar)
-    dtype = np.result_type(*map(type, eps))
-    gram, curl = np.zeros((n_e, n_e)), np.zeros((n_e, n_e))
-    gram_eps, gram_z = np.zeros((n_e, n_e), dtype), np.zeros((n_z, n_z), dtype)
-    for each in elements:
-        at_e, at_z = np.ix_(each.place, each.place), np.ix_(each.place_z, each.place_z)
-        of_e = sum((component * each.weight) @ component.T for component in each.e)
-        gram[at_e] += of_e
-        gram_eps[at_e] += eps[each.is_pillar] * of_e
-        curl[at_e] += (each.curl * each.weight) @ each.curl.T
-        gram_z[at_z] += eps[each.is_pillar] * ((each.e_z * each.weight) @ each.e_z.T)
-    return Grams(gram, gram_eps, curl, gram_z, _gradient(basis))
+    def p_and_q(self, layer: Slice, k0_per_nm: float) -> tuple[Matrix, Matrix]:
+        """P and Q of a layer, each of shape (N, N), symmetric."""
+        around = permittivity(layer.n_around)
+        contrast = permittivity(layer.n_inside) - around
+        q = around * self.e + contrast * self.e_in - self.curl / k0_per_nm**2
+        p = self.inverse - self.over_eps_z(layer) @ self.gradient.T / k0_per_nm**2
+        return 0.5 * (p + p.T), q
+
+    def over_eps_z(self, layer: Slice) -> Matrix:
+        """D S_eps^-1 of a layer, shape (N, n_z)."""
+        around = permittivity(layer.n_around)
+        of_z = around * self.z + (permittivity(layer.n_inside) - around) * self.z_in
+        return np.asarray(np.linalg.solve(of_z, self.gradient.T).T)
 
 
-def layer_of(elements: list[Element], grams: Grams, waves: Waves, k0_per_nm: float) -> Layer:
-    """P and Q of a supercell, and its overlaps with plane waves.
-
-    Args:
-        elements: all elements.
-        grams: their Gram matrices.
-        waves: plane waves and transmitted orders.
-        k0_per_nm: wave number in vacuum.
-    """
-    q = grams.e_eps - grams.curl / k0_per_nm**2
-    p = np.linalg.inv(grams.e) - grams.gradient @ np.linalg.solve(grams.z_eps, grams.gradient.T) / k0_per_nm**2
-    return waves.overlaps(elements, 0.5 * (p + p.T), q)
-
-
-def _gradient(basis: Basis) -> FloatArray:
+def gradient_of(basis: Basis) -> FloatArray:
     """D: each function of E_z -> its gradient among the functions of E."""
     x, y, (n_u, n_v, corners) = basis.along_x, basis.along_y, basis.counts
     plain = x.nodal_count * y.nodal_count
@@ -132,8 +135,9 @@ class Waves:
         self.area_nm2 = self._period[0] * self._period[1]
         self.k_order = 2.0 * np.pi * orders / np.array(self._period)
         m_x, m_y = basis.most_waves
-        # E_x has the parity along y of the scalar of a TM wave, and along x that of a TE wave; the other two are odd
-        # to it. About a mirror along x, E_x has the parity that it has about the row's axis.
+        # E_x is a derivative of the scalar over x in TM waves and over y in TE waves. So it has the parity of the TM
+        # scalar along y, and of the TE scalar along x; the other scalars have the opposite one. Under a mirror along x,
+        # E_x has the parity that it has about the row's axis.
         even_x = None if basis.fold is None or self._even is None else not self._even
         #: Functions along x and along y, each of TM and of TE waves.
         self._numbers = tuple(_numbers(m_x, even_x)), tuple(_numbers(m_y, self._even))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.cell.curved.supercell import count_functions, curved_layer
-from metafab.cell.elements.assembly import Layer, Waves, grams_of, incident, layer_of
+from metafab.cell.elements.assembly import Grams, Layer, Waves, gradient_of, incident
 from metafab.cell.elements.basis import basis_of, elements_of
 from metafab.cell.problem import solve
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
@@ -131,8 +131,8 @@ def _layer(supercell: Supercell, lights: Sequence[Polarisation], resolution: flo
         return curved_layer(supercell, lights, resolution, order)
     basis = basis_of(supercell, lights[0], resolution, mirrored=_is_mirrored(supercell))
     elements = elements_of(basis)
-    grams = grams_of(basis, elements, supercell.cell)
-    return layer_of(elements, grams, Waves(basis, order), supercell.cell.k0_per_nm)
+    grams = Grams.of(elements, gradient_of(basis))
+    return Waves(basis, order).overlaps(elements, *grams.p_and_q(supercell.cell.layer, supercell.cell.k0_per_nm))
 
 
 def _is_mirrored(supercell: Supercell) -> bool:

@@ -20,10 +20,10 @@ from metafab.core.numeric.interpolation import spline_weights
 _SEARCH_PX = 64
 #: Trial vergences of the matched-filter search, over the calibrated range.
 _TRIALS = 9
-#: Distance from an end of the calibrated range, as a share of it, at which a fit was stopped by the end.
+#: Distance from an end of the calibrated range, as a share of the range, within which a fit counts as stopped there.
 _AT_END = 1e-3
-#: Brightness of a saturated pixel's neighbours, as a share of it, from which it belongs to the point; in the dark it
-#: is a hot pixel.
+#: Least brightness of a saturated pixel's neighbours, as a share of saturation, if it belongs to the point; among
+#: darker neighbours it is a hot pixel.
 _LIT = 0.25
 
 
@@ -99,7 +99,7 @@ def _fitted(
 ) -> tuple[OptimizeResult, float]:
     """Fit vergence (as a share of the range) and place (row, column, from the middle) of a point in a window.
 
-    Also the power that the model explains, in variances of the noise like the cost.
+    The second value is the power that the model explains, in units of the noise's variance, as the fit's cost is.
     """
     n_y, n_x = cut.shape
     nodes = 1.0 / kernels.psf.depth_m

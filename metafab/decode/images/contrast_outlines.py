@@ -25,7 +25,7 @@ from metafab.decode.segmentation.segments import Regions
 
 #: Side of the window whose light gives a ratio, frame pixels.
 _WINDOW_PX = 7
-#: Distance from an outline up to which it may be wrong, frame pixels: the width of the scallops of natural scenes.
+#: Largest correction of an outline, frame pixels. In natural scenes, outlines bulge by about as much.
 _REACH_PX = 24
 #: Distance of two segments' logarithms of contrast, in the sum of their spreads, from which they are told apart.
 _SEPARATE = 2.5
@@ -33,7 +33,7 @@ _SEPARATE = 2.5
 _FEWEST, _LEAST_SPREAD = 20, 0.02
 #: Largest log odds that the contrast alone may give: deconvolution at the wrong depth has errors of its own.
 _MOST_ODDS = 6.0
-#: Probability of the segmentation is kept within this of 0 and 1.
+#: Least distance from 0 and 1 of the probabilities taken from the segmentation.
 _LEAST_DOUBT = 1e-3
 #: Probability that a moved pixel is right; and, for pixels that stay, the share of their prior doubt that remains
 #: because they may lie in a third segment. Measured in five frames of natural scenes.
@@ -64,7 +64,7 @@ def moved_outlines(
     across, away = across_outlines(label)
     apart = np.abs(middle[label] - middle[across]) > _SEPARATE * (spread[label] + spread[across])
     asked = (across > 0) & (label > 0) & (away * step <= _REACH_PX) & apart & np.isfinite(ratio)
-    # Light that fits no segment has probability 0 in its own: that speaks for none across the outline either.
+    # Light that fits no segment has probability 0 in its own, which makes the segment across no more probable.
     asked &= regions.right > 0.0
     if where is not None:
         asked &= where
@@ -94,7 +94,7 @@ def moved_outlines(
 def _with_cut_off(
     label: NDArray[np.int32], moved: NDArray[np.int32], lit: NDArray[np.bool_], sure: NDArray[np.bool_]
 ) -> NDArray[np.int32]:
-    """Moved pixels with the slivers that they cut off: a window on an outline mixes both contrasts, and stays behind.
+    """Moved pixels, with the slivers that they cut off: pixels on the former outline, whose windows mix both contrasts.
 
     Args:
         label: shape (n_y, n_x), segments before.

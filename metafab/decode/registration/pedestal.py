@@ -20,7 +20,7 @@ _BLOCK_PX = (4, 32)
 _EQUAL, _SIGNIFICANT = 3.0, 5.0
 #: Quantile of the blocks at which the search for the dark ones starts.
 _START = 0.2
-#: Share of the edge that is dark at least where the field stop is not known.
+#: Least dark share of the edge, for frames whose field stop is not known.
 _DARK_SHARE = 0.5
 _ROUNDS = 5
 

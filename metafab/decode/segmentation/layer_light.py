@@ -140,15 +140,12 @@ class LayerOptics:
         kernels = np.tensordot(self.field_weights[at[0], at[1]], np.moveaxis(self.kernels, 2, 0), axes=(0, 0))
         return transfer_functions(kernels, (side, side)).astype(np.complex64).swapaxes(0, 1)
 
+    @cached_property
     def shifts_px_m(self) -> FloatArray:
         """Shift of an outline as seen from each point of the aperture, for 1/m between the vergences of two layers.
 
         Shape (n, 2): (columns, rows), downsampled pixels; (0, 0) where the calibration does not know the aperture.
         """
-        return self._shifts
-
-    @cached_property
-    def _shifts(self) -> FloatArray:
         grid = self.calibration.grid
         shifts = shifts_px_m(self.calibration.kernels.psf.aperture_um, grid.tangent_x, grid.tangent_y)
         return shifts / self.downsampling.step
@@ -156,10 +153,13 @@ class LayerOptics:
     def light(
         self, tile: NDArray[np.intp], of_tile: NDArray[np.intp], vergence_per_m: FloatArray, gains: NDArray[np.float32]
     ) -> LayerLight:
-        """The blur of layers in tiles: pairs of a tile (its number, and its index, ascending from 0) and a layer.
+        """The blur of layers in tiles, for pairs of a tile and a layer.
 
-        ``vergence_per_m`` is 1/depth of each pair's layer at the middle of the tile; ``gains``, shape (n_pairs, 2), are
-        factors of the images.
+        Args:
+            tile: shape (n_pairs,), number of each pair's tile in the tiling.
+            of_tile: shape (n_pairs,), index of this tile among those that are used, ascending from 0.
+            vergence_per_m: shape (n_pairs,), 1/depth of each pair's layer at the middle of the tile.
+            gains: shape (n_pairs, 2), factors on both images.
         """
         share, shape = self.calibration.depth_weights(vergence_per_m), self.of_tiles.shape[2:]
         pairs = [one @ self.of_tiles[at].reshape(one.size, -1) for one, at in zip(share, tile.tolist(), strict=True)]
@@ -176,7 +176,7 @@ class LayerOptics:
         ky, kx = frequencies(size or self.tiling.size, 1)
         along_x, along_y = (
             np.exp(2j * np.pi * vergence_per_m * shift[:, None] * k)
-            for shift, k in zip(self._shifts.T, (kx, ky), strict=True)
+            for shift, k in zip(self.shifts_px_m.T, (kx, ky), strict=True)
         )
         return np.asarray(along_y.T @ along_x / len(along_x), dtype=np.complex64)
 

@@ -147,7 +147,7 @@ class _Layers:
             own = plane.over(label.shape)[label == index + 1]
             vergence[index] = own.min(), own.max()
             middles[index] = np.clip(plane.at(*optics.tiling.middles.T.astype(np.float64)), own.min(), own.max())
-        hidden_px = _BAND_PX + step * float(np.abs(optics.shifts_px_m()).max()) * (vergence.max() - vergence.min())
+        hidden_px = _BAND_PX + step * float(np.abs(optics.shifts_px_m).max()) * (vergence.max() - vergence.min())
         wide, lit = np.pad(label, margin), np.pad(prepared.lit, margin)
         away_px = _distances(wide, count, hidden_px / step) * np.float32(step)
         near = ((away_px <= _BAND_PX) & lit).sum(axis=0, dtype=np.uint8)

@@ -20,8 +20,8 @@ from metafab.decode.segmentation.layer_light import LayerLight
 _STEPS = 3
 #: Rms contrast of the texture.
 _TEXTURE = 0.3
-#: A farther layer is expected in full from an open share of the aperture of 1 / 1.7: 1/2 at a straight outline, a
-#: little more after pooling over both sides.
+#: Factor on the open share of the aperture, up to 1, for the expected presence of a farther layer: at a straight
+#: outline that share is 1/2, a little more after pooling over both sides.
 _OPEN = 1.7
 #: Energy of whitened light that counts as none, over that of the prior.
 _LEAST_ENERGY = 0.05
@@ -33,7 +33,7 @@ class ExpectedLight:
 
     white: NDArray[np.complex64]  #: Shape (n_pairs, n_ky, n_kx), transforms of the whitened textures.
     energy: NDArray[np.float32]  #: Shape (n_pairs, n_y, n_x), their pooled squares.
-    presence: NDArray[np.float32]  #: Shape (n_pairs, n_y, n_x), extent of a layer by the share that should be seen.
+    presence: NDArray[np.float32]  #: Shape (n_pairs, n_y, n_x), expected share of a layer in a pixel's light.
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class TileLayers:
     """Pairs of a tile and a layer in it, of some tiles, sorted by tile."""
 
     optics: LayerLight  #: Blur of the layers.
-    gains: NDArray[np.float32]  #: Shape (n_pairs, 2), factors of both images that ``optics`` holds.
+    gains: NDArray[np.float32]  #: Shape (n_pairs, 2), factors on both images, which ``optics`` already contains.
     #: A hidden pair, a nearer pair of its tile, and the transfer function of the share of the aperture that it covers.
     hiding: list[tuple[int, int, NDArray[np.complex64]]]
     images: NDArray[np.float32]  #: Shape (n_tiles, 2, n_y, n_x), electrons.

@@ -198,7 +198,7 @@ class _Equations(NamedTuple):
         return cls(place, samples.amplitudes[:, channels], samples.slopes[:, :, channels] * half_nm[:, None])
 
     def with_mirrored(self, other: _Equations, which: NDArray[np.bool_]) -> _Equations:
-        """These equations and the mirror images of some of the other polarisation's."""
+        """These equations, and those of the ``other`` polarisation at the samples ``which``, with x and y exchanged."""
         place = other.place[which]
         place[:, :2] = place[:, 1::-1]
         images = _Equations(place, other.values[which], other.slopes[which][:, ::-1])

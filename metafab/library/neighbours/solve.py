@@ -82,21 +82,21 @@ def corrections_and_jacobian(
         fields.append(np.asarray(taps.reshape(lines, half, -1) @ a.reshape(lines, -1, 1))[..., 0])
         adjoint = (outputs @ inverse).reshape(lines, half, half, modes)
         by_source = adjoint[..., :even].transpose(0, 1, 3, 2) @ terms[:, None, :half].astype(np.complex128)
-        ends = (
+        by_matrices = (
             _site_derivatives(model, terms[:, :half], a[:, :half], adjoint),
             _hop_derivatives(model, (a[:, before], a[:, after]), adjoint),
         )
-        jacobians.append(_gathered(face, ends, by_own, by_side, by_source.swapaxes(-1, -2)))
+        jacobians.append(_gathered(face, by_matrices, by_own, by_side, by_source.swapaxes(-1, -2)))
     uniform, d_uniform = _uniform_jacobian(model, terms[:, :half], faces)
     return np.stack(fields) - uniform, np.stack(jacobians) - d_uniform
 
 
 def line_gains(model: LineModel, terms: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """How strongly closed lines answer to errors of their matrix, from its inverse A^-1.
+    """Sensitivity of closed lines to errors of their matrix A, from its inverse.
 
-    ``terms``: shape (lines, sites, terms). Returns the rms change of the transmitted field, summed in squares over the
-    sites, by independent unit errors of all elements of H, and the spectral norm of A^-1 by power iteration, shape
-    (lines,) each.
+    ``terms``: shape (lines, sites, terms). Returns two arrays of shape (lines,): the norm over the sites of the rms
+    change of the transmitted field by independent unit errors of all elements of the site matrices H, and the spectral
+    norm of A^-1 by power iteration.
     """
     lines, sites, _ = terms.shape
     matrix, source = _half_line(model, terms, sites)
@@ -166,7 +166,7 @@ def _faces(model: LineModel) -> tuple[tuple[ComplexArray, ComplexArray], ...]:
 
 def _gathered(
     face: int,
-    ends: tuple[ComplexArray, ComplexArray],
+    by_matrices: tuple[ComplexArray, ComplexArray],
     by_own: ComplexArray,
     by_side: ComplexArray,
     by_source: ComplexArray,
@@ -174,17 +174,16 @@ def _gathered(
     """Derivatives of one face's light by :attr:`LineModel.vector`, shape (lines, sites, n).
 
     Args:
-        face: 0 for reflected, 1 for transmitted light.
-        ends: by the site matrix, shape (lines, sites, terms, pairs), and by the hop, shape (lines, sites, n_hop_pairs).
-        by_own: by e or e' of this face, shape (lines, sites, terms, even).
-        by_side: by g or g' of this face, shape (lines, sites, terms, modes).
-        by_source: by c, shape of ``by_own``; it moves with e' and g'.
+        face: 0 for reflected, 1 for transmitted light. by_matrices: by the site matrix H, shape (lines, sites, terms,
+        pairs), and by the hop W, shape (lines, sites, n_hop_pairs). by_own: by e or e' of this face, shape (lines,
+        sites, terms, even). by_side: by g or g' of this face, shape (lines, sites, terms, modes). by_source: by c,
+        shape of ``by_own``; it moves with e' and g'.
     """
     d_own, d_side = (np.zeros((2, *values.shape), dtype=np.complex128) for values in (by_own, by_side))
     d_own[face], d_side[face] = by_own, by_side
     d_own[0] += by_source
     d_side[0, ..., : by_own.shape[-1]] += 2.0 * by_source
-    parts = (ends[0], d_own[1], d_side[1], d_own[0], d_side[0], ends[1])
+    parts = (by_matrices[0], d_own[1], d_side[1], d_own[0], d_side[0], by_matrices[1])
     return np.concatenate([part.reshape(*by_own.shape[:2], -1) for part in parts], axis=-1)
 
 
@@ -212,8 +211,8 @@ def _uniform_jacobian(model: LineModel, terms: FloatArray, faces: tuple[int, ...
     for face in faces:
         adjoint = np.einsum("...r,...rs->...s", taps[face], inverse)
         d_site = -terms[..., :, None] * pairs(adjoint, *shape.pairs)[..., None, :]
-        ends = d_site, 2.0 * pairs(adjoint, *shape.hop_pairs[:2])
-        jacobians.append(_gathered(face, ends, by_own, by_side, terms[..., :, None] * adjoint[..., None, :]))
+        by_matrices = d_site, 2.0 * pairs(adjoint, *shape.hop_pairs[:2])
+        jacobians.append(_gathered(face, by_matrices, by_own, by_side, terms[..., :, None] * adjoint[..., None, :]))
     return np.sum(taps[list(faces)] * amplitude, axis=-1), np.stack(jacobians)
 
 
@@ -250,7 +249,7 @@ def _hop_derivatives(
     ``next_to`` holds the amplitudes of the sites before and after each site.
     """
     r, s, sign = model.shape.hop_pairs
-    # W[r, s] and sign W[s, r], of a_{m-1}; and of a_{m+1} with W^T.
+    # W[r, s] = sign W[s, r] multiplies a_{m-1}, its transpose a_{m+1}.
     by_mode = adjoint.transpose(0, 1, 3, 2)
     left, right = by_mode @ next_to[0][:, None], by_mode @ next_to[1][:, None]
     by_element = left + right.swapaxes(-1, -2)

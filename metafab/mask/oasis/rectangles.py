@@ -12,7 +12,7 @@ from metafab.mask.shapes.hierarchy import IntArray
 
 #: Largest number of rectangles in a chunk; longer repetitions are left to the reader of single records.
 LARGEST_CHUNK = 1 << 21
-#: Rectangles of a run, which stay in the cache. Pieces of one size, handed back, serve the next run.
+#: Rectangles of a run, few enough for the cache. All runs use arrays of this size, whose memory is used again.
 RUN = 1 << 16
 
 

@@ -116,7 +116,11 @@ def path_um(x: Any, y: Any, ray: RayNumbers) -> Any:
 
 @inlined
 def path_and_slopes(x: Any, y: Any, ray: RayNumbers) -> tuple[Any, Any, Any]:
-    """Return :func:`path_um` and its derivatives along x and y; broadcasts."""
+    """Return :func:`path_um` and its derivatives along x and y; broadcasts.
+
+    With R the distance from the object and R' that to the target: w (R^2 - R_0^2) is ``bend``, R'^2 - R'_0^2 is
+    ``fall``.
+    """
     w, t_x, t_y, c_x, c_y, c_z = ray
     square = x * x + y * y
     secant2 = 1.0 + t_x * t_x + t_y * t_y

@@ -37,7 +37,7 @@ def rotation_deg_per_dioptre(zones: int, aperture_radius_um: float, wavelength_u
 
 
 def ring_rotation(zones: int, exponent: float) -> tuple[float, float]:
-    """Radius and rotation rate of the main lobe of Eq. 2 in focus, from one integral for each of two zones or more.
+    """Radius and rotation rate of the main lobe of Eq. 2 in focus, from one integral a zone; two zones or more.
 
     The radius is in optical units, the rate in rad per rad of rim defocus (-1 / L for many zones at exponent 1/2).
     """

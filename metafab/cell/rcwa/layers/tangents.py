@@ -49,7 +49,7 @@ class LayerChange:
     q: Matrix  #: Shape (n, n), dQ.
 
     def p_product(self, h: Matrix) -> Matrix:
-        """DP h for ``h`` of shape (n, any)."""
+        """Product dP h, for ``h`` of shape (n, any)."""
         driven, pairs = self.basis.with_e_z, self.basis.pair_v
         product = np.zeros((len(h), h.shape[1]), dtype=np.complex128)
         product[driven] = self.p_driven @ h[driven] + self.p_pairs.T @ h[pairs]
@@ -103,9 +103,9 @@ class RectangleLayer:
         basis = self.basis
         driven, k = basis.with_e_z, basis.k_with_e_z / self.k0_per_nm
         over_k = np.divide(1.0, k, out=np.zeros_like(k), where=k != 0.0)
-        late, column = self.eta_z * k, _columns(basis)
-        along = (0.5 * waves.squared[driven] * over_k)[:, None] * late
-        across = (waves.across * over_k[column])[:, None] * late[column]
+        eta_z_k, column = self.eta_z * k, _columns(basis)
+        along = (0.5 * waves.squared[driven] * over_k)[:, None] * eta_z_k
+        across = (waves.across * over_k[column])[:, None] * eta_z_k[column]
         q = change.q
         np.einsum("ii->i", q)[:] -= np.where(basis.is_tm, 0.0, waves.squared)
         q[basis.pair_u, basis.pair_v] += waves.across

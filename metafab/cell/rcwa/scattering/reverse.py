@@ -32,33 +32,33 @@ def pull_back_doubled(layer: Doubling, left: Matrix, right: Matrix) -> Matrix:
     of_f, of_g = np.eye(rank), np.zeros((rank, rank))
     ratios = list(steps.ratios)
     while len(ratios) > 1 and 2 * right.shape[1] <= n:
-        ratio, late = ratios.pop(), of_g - of_f
+        ratio, of_next = ratios.pop(), of_g - of_f  # weights of G', as F' is F - G'
         left, right = _with_products(ratio.T, left), _with_products(ratio, right)
-        nothing = np.zeros_like(late)
-        of_g = 0.5 * np.block([[nothing, late], [late, nothing]])
-        of_f = np.block([[of_f, nothing], [nothing, -0.5 * late]])
+        nothing = np.zeros_like(of_next)
+        of_g = 0.5 * np.block([[nothing, of_next], [of_next, nothing]])
+        of_f = np.block([[of_f, nothing], [nothing, -0.5 * of_next]])
     if len(ratios) > 1:
         return _pull_back_full(steps, ratios, *((left @ core @ right.T).transpose(1, 0, 2) for core in (of_f, of_g)))
     if not ratios:
         return _pull_back_thin_slab(steps, left, right, (left[..., :0], right[:, :0]))
     # G' = (F + A F^-1) / 2 of the thin slab.
-    late, over = 0.5 * (of_g - of_f), _solved(steps.factors[1], right, transposed=True)
+    of_next, over = 0.5 * (of_g - of_f), _solved(steps.factors[1], right, transposed=True)
     both = _with_products(steps.ratios[0].T, left)
-    weighted = np.concatenate([left @ (of_f + late), -both[..., right.shape[1] :] @ late], axis=-1)
-    return _pull_back_thin_slab(steps, weighted, np.hstack([right, over]), (left @ late, over))
+    weighted = np.concatenate([left @ (of_f + of_next), -both[..., right.shape[1] :] @ of_next], axis=-1)
+    return _pull_back_thin_slab(steps, weighted, np.hstack([right, over]), (left @ of_next, over))
 
 
 def _pull_back_full(steps: DoublingSteps, ratios: list[Matrix], f_bar: Matrix, g_bar: Matrix) -> Matrix:
     """The reverse from weights of F and G as full matrices, shape (k, n, n); ``ratios`` of the doublings before."""
     for ratio in reversed(ratios[1:]):
-        late = g_bar - f_bar
-        turned = ratio.T @ late
-        g_bar, f_bar = 0.5 * (late @ ratio.T + turned), f_bar - 0.5 * turned @ ratio.T
-    late = 0.5 * (g_bar - f_bar)
-    # The rows of late F^-T are columns of F^-1 late^T.
-    over = _solved(steps.factors[1], late.transpose(2, 0, 1), transposed=True).transpose(1, 2, 0)
-    left = (f_bar + late - ratios[0].T @ over).transpose(1, 0, 2)
-    nothing = np.zeros((len(late[0]), 0))
+        of_next = g_bar - f_bar
+        turned = ratio.T @ of_next
+        g_bar, f_bar = 0.5 * (of_next @ ratio.T + turned), f_bar - 0.5 * turned @ ratio.T
+    of_next = 0.5 * (g_bar - f_bar)
+    # The rows of of_next F^-T are columns of F^-1 of_next^T.
+    over = _solved(steps.factors[1], of_next.transpose(2, 0, 1), transposed=True).transpose(1, 2, 0)
+    left = (f_bar + of_next - ratios[0].T @ over).transpose(1, 0, 2)
+    nothing = np.zeros((len(of_next[0]), 0))
     return over + _pull_back_thin_slab(steps, left, np.eye(len(nothing)), (left[..., :0], nothing))
 
 
@@ -70,14 +70,18 @@ def _pull_back_thin_slab(steps: DoublingSteps, left: Matrix, right: Matrix, more
     """
     (n, count), rank = left.shape[:2], right.shape[1]
     solved = _solved(steps.factors[0], left).reshape(n, -1)
-    late = np.concatenate([solved[None], steps.powers[:3].transpose(0, 2, 1) @ solved]).reshape(4, n, count, rank)
-    early = _with_products(steps.thin, right)
-    early = np.concatenate([early[None], steps.powers[:3] @ early])
-    # Rows: the power of A before dA; columns: the power behind it.
+    left_powers = np.concatenate([solved[None], steps.powers[:3].transpose(0, 2, 1) @ solved]).reshape(
+        4, n, count, rank
+    )
+    right_powers = _with_products(steps.thin, right)
+    right_powers = np.concatenate([right_powers[None], steps.powers[:3] @ right_powers])
+    # Rows: the power of A to the left of dA; columns: that to the right.
     power = 1 + np.add.outer(np.arange(4), np.arange(4))
     of_n, of_d = (np.where(power < 5, each[np.minimum(power, 4)], 0.0) for each in lambert_coefficients(steps.thin_k0))
-    mixed = np.tensordot(np.hstack([of_n, -of_d]), np.concatenate([early[..., :rank], early[..., rank:]]), axes=1)
-    columns = np.concatenate([*late, more[0]], axis=-1).transpose(1, 0, 2)
+    mixed = np.tensordot(
+        np.hstack([of_n, -of_d]), np.concatenate([right_powers[..., :rank], right_powers[..., rank:]]), axes=1
+    )
+    columns = np.concatenate([*left_powers, more[0]], axis=-1).transpose(1, 0, 2)
     rows = np.concatenate([*mixed, more[1]], axis=-1)
     return np.asarray(columns.reshape(count * n, -1) @ rows.T).reshape(count, n, n)
 

@@ -56,7 +56,7 @@ def test_the_fundamental_mode_of_a_rod_is_that_of_a_fibre() -> None:
     """A cell so wide that the mode's tail in its neighbours, exp(-2 w) of it, shifts the index by less than 1e-6."""
     rod = replace(CIRCLE, period_nm=(900.0, 900.0), width_nm=300.0, length_nm=300.0)
     matrices = MeshMatrices.of(functions_of(quarter_mesh(rod), "x", 7), axes=[0])
-    p, q = matrices.of_layer(Slice(800.0, 2.461, 1.0), rod.k0_per_nm)
+    p, q = matrices.grams.p_and_q(Slice(800.0, 2.461, 1.0), rod.k0_per_nm)
     index = math.sqrt(np.linalg.eigvals(p @ q).real.max())
     assert index == pytest.approx(_he11_index(150.0, 2.461, 532.0), abs=3e-6)
 
