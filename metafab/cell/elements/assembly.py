@@ -80,7 +80,7 @@ class Grams:
 
     @classmethod
     def of(cls, elements: Iterable[Element], gradient: FloatArray) -> Grams:
-        """Sum over the elements; ``gradient`` as the attribute."""
+        """Sum over the elements; ``gradient`` has the shape (N, n_z)."""
         n_e, n_z = gradient.shape
         (e, e_in, curl), (z, z_in) = np.zeros((3, n_e, n_e)), np.zeros((2, n_z, n_z))
         for each in elements:
@@ -111,7 +111,7 @@ class Grams:
 
 
 def gradient_of(basis: Basis) -> FloatArray:
-    """D: each function of E_z -> its gradient among the functions of E."""
+    """D: each function of E_z -> its gradient among the functions of E, shape (N, n_z)."""
     x, y, (n_u, n_v, corners) = basis.along_x, basis.along_y, basis.counts
     plain = x.nodal_count * y.nodal_count
     matrix = np.zeros((n_u + n_v + corners, plain + corners))

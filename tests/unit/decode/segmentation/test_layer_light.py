@@ -94,11 +94,11 @@ def test_texture_has_unit_variance(optics: LayerOptics) -> None:
 def test_an_aperture_is_covered_by_the_shifted_outline(optics: LayerOptics) -> None:
     """The covered share of a smooth outline is its mean over the shifts that the aperture's points see."""
     shifts = np.array([[-3.0, 1.0], [0.0, 0.0], [2.0, -4.0], [5.0, 2.0]])
-    vars(optics)["_shifts"] = shifts
+    vars(optics)["shifts_px_m"] = shifts
     rows, columns = optics.tiling.size
     share = gaussian_filter((np.arange(columns) > columns // 2) * np.ones((rows, 1)), 2.0, mode="wrap")
     covered = np.fft.irfft2(np.fft.rfft2(share) * optics.aperture(1.0), (rows, columns))
     expected = np.mean([np.roll(share, (-int(y), -int(x)), axis=(0, 1)) for x, y in shifts], axis=0)
-    del vars(optics)["_shifts"]
+    del vars(optics)["shifts_px_m"]
     # Whole shifts are exact; transfer functions are of single precision.
     assert np.abs(covered - expected).max() < 1e-5

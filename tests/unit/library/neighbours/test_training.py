@@ -171,7 +171,7 @@ def test_a_stated_error_needs_three_rows_of_unlike_pillars() -> None:
     doubts, errors = RowDoubts(*np.full((5, 4), 0.1)), np.array([0.01, 0.02, 0.03, 0.0])
     doubts.correction[-1] = 1e-16  # equal pillars, to rounding
     law = error_law(doubts, errors)
-    assert errors[:3].max() < doubts.stated_errors(LineStatistics(error_floor=0.0, **law))[0] < np.inf
+    assert errors[:3].max() < doubts.stated_errors(law)[0] < np.inf
     with pytest.raises(ValueError, match="three held-out rows of unlike pillars or more, got 2"):
         error_law(RowDoubts(*np.full((5, 2), 0.1)), errors[:2])
 
