@@ -69,17 +69,17 @@ def read_lenses(
     *,
     together: bool = False,
 ) -> tuple[tuple[ExposedLens, ...], tuple[ShapesBeside, ...]]:
-    """Read a lens of a mask with what is exposed in its reach, and a list of all beside it.
+    """Read a lens of a mask with all that is exposed within reach of the beam, and list the shapes around it.
 
     Shapes that the design does not draw are left out, with a warning.
 
     Args:
         path: the mask.
         design: its design.
-        copy: the lens, counted from 1; of several lenses the first one of the result.
+        copy: number of the lens, from 1; it comes first in the result.
         range_nm: largest range of the beam.
         progress: called while the file is read.
-        together: whether all other lenses follow in their order, which must be equal.
+        together: whether all other lenses are read as well; their pillars must be equal.
 
     Raises:
         InputError: the file holds other shapes than pillars, pillars of dose classes, a lens without pillars, or lenses

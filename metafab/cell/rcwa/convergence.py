@@ -15,10 +15,11 @@ from dataclasses import dataclass
 
 from metafab.cell.pillar import PillarCell
 
-#: Least cosines a wavelength of the period in the densest medium, and in a film or a cap, whose guided waves the
-#: coordinates of the pillar stretch: in a cell of 5.2 wavelengths within the pillar, 5 and 6 cosines differed by 0.03
-#: and were off by 0.16; under pillars of low index, 6 cosines in 3.5 wavelengths differed from 5 by 0.001 and were off
-#: by 0.03; under a cap of 4.2, 8 cosines in 3.7 wavelengths differed from 7 by 0.001 and were off by 0.08.
+#: Least cosines for each wavelength in the period: of light in the densest medium, and of light in a film or a cap,
+#: whose guided waves the pillar's coordinates stretch. With fewer, small differences hid large errors. In a pillar with
+#: 5.2 wavelengths a period, 5 and 6 cosines differed by 0.03 and were off by 0.16. In a film with 3.5 under pillars of
+#: low index, they differed by 0.001 and were off by 0.03. In a cap of index 4.2 with 3.7, 7 and 8 cosines differed by
+#: 0.001 and were off by 0.08.
 _RESOLVED, _RESOLVED_LAYER = 1.5, 2.5
 #: Cosines a wavelength in the densest medium below which errors need not fall yet, and the least error there for each
 #: radian that the pillar adds: 5 cosines were off by up to 6.7e-4 a radian on 28 random cells. In a pillar of 2.8 and a
@@ -77,8 +78,8 @@ class Convergence:
     is_measured: bool  #: Whether claims were measured on cells of this kind.
     law: PowerLaw | None  #: Law that the errors follow; None for a dielectric rectangle in a rectangular lattice.
     added_phase_rad: float  #: Phase that the pillar adds to light over its height, rad.
-    #: Factor of the floors, from 1: that phase over the largest measured one, with a margin. Within the measured kind
-    #: it is the phase of the vacuum wave over that in silicon pillars.
+    #: Factor of the floors, at least 1. In the measured range: phase of the vacuum wave over the height, over that of
+    #: the silicon pillars. Elsewhere: the added phase over the largest measured one, with a margin.
     floor_growth: float
     resolving: float  #: Cosines from which every wave in pillar, film and cap is resolved.
     falling: float  #: Cosines from which errors fall.

@@ -71,7 +71,7 @@ def pixel_depth(volume: CostVolume, window: int, noise_variance: FloatArray) -> 
     """Depth from the widest window whose depth agrees with that of the narrower windows.
 
     The volume has at least three candidates. ``window`` is the side of the narrowest window in its pixels, odd;
-    ``noise_variance``, shape (2, n_y, n_x), that of a pixel of the frame, of both images.
+    ``noise_variance``, shape (2, n_y, n_x), is the variance of a frame pixel in both images.
     """
     shape = volume.shape
     first = int(window >= _WIDE_WINDOW and min(shape) > 2 * window)
@@ -147,8 +147,9 @@ def _quartic_peaks(
     curvature: FloatArray,
     inside: NDArray[np.bool_],
 ) -> None:
+    """Maximum of each quartic by Newton's method, from the parabola about the largest value and within a step of it."""
     for i in range(first, stop):
-        best = 1
+        best = 1  # largest of the three inner values, or the inner one next to a larger end
         for k in range(2, 4):
             if values[k, i] > values[best, i]:
                 best = k

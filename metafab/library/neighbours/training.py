@@ -36,11 +36,11 @@ from metafab.spec import UnitCell
 #: on held-out rows with steady phases, light across, without mirrored rows: 4 + 2 modes 0.068, 3 + 3 modes 0.066, 4 + 4
 #: modes 0.036, 6 + 3 modes 0.077. Degree 4 in place of 3 was worse.
 SHAPES = (LineShape(even=4, odd=3, degree=3), LineShape(even=4, odd=4, degree=3))
-#: Weight of reflected light in the fit, for light along the row and across it. Along, rows of random sizes came out at
-#: 0.082 in place of 0.106 and periods of the lens at 0.016 in place of 0.019. Across, a fit from random parameters came
-#: out at 0.09 on periods of the lens, and one from a fitted chain at 0.028, no better than without.
+#: Weight of reflected light in the fit, for light along the row and across it. Along, it lowered the error from 0.106
+#: to 0.082 on rows of random sizes and from 0.019 to 0.016 on periods of the lens. Across, the error on these periods
+#: was 0.09 from random parameters, and 0.028 from a fitted chain, no better than without.
 _REFLECTED = (0.5, 0.0)
-#: Weight of the rows with steady phases in the fit. They are what lenses hold, and their residuals are three to eight
+#: Weight of the rows with steady phases in the fit. Lenses consist of such rows, and their residuals are three to eight
 #: times smaller than those of random sizes.
 _STEADY_WEIGHT = 16.0
 #: Weight of the squared residual of the strongest order of a row with steady phases, the wanted order of a lens.
@@ -56,11 +56,12 @@ _GRAZING, _GRAZING_WEIGHT = 0.95, 0.3
 #: Fits from different random parameters. The one with the smallest loss is fitted to its end, and again with each of
 #: the modes beyond :data:`SHAPES`.
 STARTS = 4
-#: Stages of a fit: one row in this number is fitted. The first stage lacks two modes of each parity, the second one.
+#: Rows of each stage of a fit: one in this number. The first stage has two modes of each parity fewer than the last,
+#: the second has one.
 _ONE_ROW_IN = (4, 2, 1)
 #: Steps of a stage, and of the fit to its end.
 _STAGE_STEPS, _LAST_STEPS = 25, 120
-#: Rows solved again at a resolution higher by so much, to measure the error of the rows themselves.
+#: Number of rows that are solved again to measure the error of the rows, and the increase of their resolution.
 _CHECKED_ROWS, _FINER = 3, 1.0
 
 
@@ -104,7 +105,8 @@ def train(
     samplers, asked = _samplers(library), library.unit_cell.neighbours
     with Checkpoint(checkpoint, inputs_of_rows(library)) as record:
         solved = solve_rows(samplers, asked.rows, record, executor or SerialExecutor(), progress)
-    # One thread here as in worker processes: of threads in this one, the first to end a fit would free the others'.
+    # One thread of linear algebra for all fits: the limit holds for the process, and the first thread of ours that ends
+    # a fit would lift it for the others.
     with threadpool_limits(1):
         plans = [_Plan.of(*both, asked.more_modes) for both in zip(samplers, solved, strict=True)]
         lines = _fitted_lines(plans, executor, progress)

@@ -1,11 +1,11 @@
 """Adaptive sampling over the grid of sizes: solve a few sizes, model the rest, repeat until the error is small.
 
 Each round fits two rational models of different degrees to the values at all solved sizes and, where the solver gives
-them, to their slopes: fewer sizes then suffice. Meanwhile the workers solve the next sizes
-of a space-filling sequence, which test the models as held-out samples. The ratio of held-out errors to the
-models' disagreement scales the disagreement to an error estimate. The sizes with the largest estimate, on the ridges of
-guided modes, are solved next and test the models as well. Sampling ends when the estimate at every unsolved size and
-the held-out errors are within the tolerance, or when every size is solved. ``off_grid`` then samples between the sizes.
+them, to their slopes: fewer sizes then suffice. Meanwhile the workers solve the next sizes of a space-filling sequence,
+which test the models as held-out samples. The ratio of held-out errors to the models' disagreement scales the
+disagreement to an error estimate. The sizes with the largest estimate, on the ridges of guided modes, are solved next
+and test the models as well. Sampling ends when the estimate at every unsolved size and the held-out errors are within
+the tolerance, or when every size is solved. ``off_grid`` then samples between the sizes.
 
 Decisions are taken between rounds only, so the result does not depend on the number of workers.
 """
@@ -120,7 +120,7 @@ class GridSampling:
     safety_factor: float  #: Ratio of held-out errors to the models' disagreement, at least 1.
     held_out: IndexArray  #: Shape (n,), numbers of the last round's sizes, predicted before they were solved.
     held_out_error: float  #: Largest error of these predictions.
-    held_out_rms: float  #: Rms error of these predictions, the least estimate of the model's error anywhere.
+    held_out_rms: float  #: Rms error of these predictions; no error estimate is smaller.
     rounds: int  #: Rounds of solving.
 
 

@@ -1,4 +1,4 @@
-"""Errors of a library's light by the uncertainty of the pillar's index, and where light comes from the side."""
+"""Errors of a library's light: of oblique incidence, and of the uncertainty of the pillar's index."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.forked import shared
 from metafab.library.library import Library
 
-#: Sizes that are solved, each standing for an equal share of the pillars; an rms needs fewer than a maximum.
-_SAMPLES = 8
+#: Sizes solved for oblique light, each standing for an equal share of the pillars.
+_OBLIQUE_SAMPLES = 8
 #: Truncation error of both solutions. It is common to both and cancels: 3e-2 and 2e-3 give equal changes within 1 %.
 _SOLVER_ERROR = 3e-2
-#: Sizes that are solved twice; an rms needs fewer than a maximum.
+#: Sizes solved with both indices; an rms needs fewer than a maximum.
 SAMPLES = 16
 
 
@@ -28,7 +28,7 @@ def oblique_field_error(
     tangent: tuple[float, float],
     workers: int | None = None,
 ) -> float | None:
-    """Return the relative rms change of a mask's zero-order field under light from a direction, common phase left out.
+    """Return the relative rms change of a mask's zero-order field under oblique light, without the common phase.
 
     Args:
         library: its unit cell is solved along the axis and from the side.
@@ -45,7 +45,7 @@ def oblique_field_error(
     count = np.cumsum(pillars)
     if not count.size or count[-1] == 0:
         return None
-    places = np.searchsorted(count, (np.arange(_SAMPLES) + 0.5) / _SAMPLES * count[-1])
+    places = np.searchsorted(count, (np.arange(_OBLIQUE_SAMPLES) + 0.5) / _OBLIQUE_SAMPLES * count[-1])
     sizes = [(float(width), float(length)) for width, length in size_nm[places]]
     straight = [pillar_cell(library.unit_cell, *size) for size in sizes]
     n_in, n_substrate = complex(straight[0].n_of_angle), straight[0].n_substrate
@@ -56,7 +56,7 @@ def oblique_field_error(
     angle_deg = math.degrees(math.asin(slope / math.hypot(1.0, slope) / n_in.real))
     azimuth_deg = math.degrees(math.atan2(tangent[1], tangent[0]))
     oblique = [pillar_cell(library.unit_cell, *size, angle_deg=angle_deg, azimuth_deg=azimuth_deg) for size in sizes]
-    # The dear ones first, so that all processes end together.
+    # The costly ones first, so that all processes end at about the same time.
     t = np.array(list(shared(_transmitted, [*oblique, *straight], workers)))
     return _largest_change(t[len(oblique) :], t[: len(oblique)])
 
