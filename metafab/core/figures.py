@@ -420,7 +420,7 @@ class OrdersFigures:
 
     @property
     def label(self) -> str:
-        """Label of the sentence: rows of a lens tell of neighbours, not of orders."""
+        """Label of the sentence; rows of a lens measure the effect of neighbours, not orders."""
         return "wanted orders" if self.efficiency_ratio is None else "neighbours"
 
     @property

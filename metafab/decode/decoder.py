@@ -159,7 +159,7 @@ class Decoder:
         return self.calibration.stack.nbytes + self.filters.nbytes + self.deconvolver.nbytes + optics + maps
 
     def depth_map(self, frame: RawFrame) -> FloatArray:
-        """Depth of each pixel from the window about it, without segments: shape (n_y, n_x), m; NaN for none."""
+        """Depth of each pixel from the window around it, without segments: shape (n_y, n_x), m; NaN for none."""
         with kept_threads():
             prepared = self.prepare(frame)
             if isinstance(prepared, str):

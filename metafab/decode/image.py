@@ -50,7 +50,7 @@ class Image4D(Displayed):
         origin_um: (x, y) on the sensor of the centre of pixel [0, 0].
         pixel_um: pixel pitch.
         segments: figures of each segment.
-        depth_pixel_m: shape (n_y, n_x), depth of each pixel from the window about it; NaN where none is claimed.
+        depth_pixel_m: shape (n_y, n_x), depth of each pixel from the window around it; NaN where none is claimed.
         contrast_error: shape (n_y, n_x), standard error of each pixel's contrast by photon and read noise; NaN where
             there is no signal.
         nmae: mean |depth error| / depth over decoded pixels with known truth; None without truth.

@@ -39,7 +39,7 @@ _STRIP_NM = 50.0
 class ShapesBeside:
     """Shapes of a mask beside the lens: another copy, or a layer."""
 
-    name: str  #: The copy, or the layer and what it holds.
+    name: str  #: The copy, or the layer and its content.
     shapes: int  #: Number of shapes in the file.
     #: Whether their dose is counted; they are left out where no Gaussian reaches the lens, where the first exposure
     #: writes them, and where the design does not draw as many.

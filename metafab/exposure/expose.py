@@ -199,8 +199,8 @@ def expose_lenses(
     """Expose lenses of a wafer and predict the printed sizes.
 
     Args:
-        lenses: lenses of equal pillars, each among the others at their doses. A lens beside them that is not among them
-            has the doses of the same sites. Results of equal lenses with nothing beside them are one object.
+        lenses: lenses of equal pillars, each exposed together with the others. A further lens in their reach has, site
+            by site, the same doses. Lenses with nothing in reach share one result object.
         psf: point-spread function of the beam.
         outline: outline of the drawn pillars, any but a cross or a ring.
         base_over_clearing_dose: base dose over the clearing dose of a large pad; None for the dose at which printed

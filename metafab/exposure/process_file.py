@@ -54,7 +54,8 @@ def fitted_process(
         work: threads and progress.
 
     Raises:
-        InputError: the design has no ``[process.exposure]``, or keys that the fit does not know; a table that cannot be
+        InputError: the design has no ``[process.exposure]``, or keys that the fit does not support; a table that cannot
+        be
             read, with places without a pillar, doses that are not positive or means that no pillar has; or sizes that
             do not determine the parameters.
     """
@@ -77,7 +78,7 @@ def fitted_process(
 
 
 def _unfit(design: Design) -> list[Fault]:
-    """Keys of a design that the fit does not know."""
+    """Keys of a design that the fit does not support."""
     mask, shape, unavailable = design.mask, design.unit_cell.cell.shape, "not available with the fit"
     faults = []
     if mask.dose is not None:

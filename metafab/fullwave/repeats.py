@@ -1,9 +1,9 @@
 """Orders of a mask whose pattern repeats: its supercells, found among the written pillars, by full wave.
 
 A deflector, a splitter or a grating repeats after some pillars, exactly or nearly: a phase that turns once in 13.1
-pillars has the same sizes after 13, or sizes a step beside them. The library's t of the pillars tells the repeat by its
-autocorrelation. Windows of one repeat, spread over the mask, are solved as periodic supercells; their mean is the
-efficiency of each order far from the rim, their spread is part of its error. All windows are solved at a coarse
+pillars has equal sizes after 13, or the next ones of the grid. The repeat is found in the autocorrelation of the
+library's t of the pillars. Windows of one repeat, spread over the mask, are solved as periodic supercells; their mean
+is the efficiency of each order far from the rim, their spread is part of its error. All windows are solved at a coarse
 resolution, and as many of them at a fine one as the mean change between the two needs: it differs little from window to
 window, whereas the fine resolution takes four times as long.
 """

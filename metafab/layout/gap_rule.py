@@ -1,11 +1,13 @@
 """The gap rule: the sizes that the rules of a design allow. It is applied here and nowhere else in the mapping.
 
 ``rules.min_gap_nm`` is the smallest gap between drawn pillars; with ``mask.bias_nm`` it becomes
-``Design.min_spacing_nm``, the smallest gap between standing ones. ``rules.gap_rule`` says who keeps it:
+``Design.min_spacing_nm``, the smallest gap between standing ones. ``rules.gap_rule`` chooses how it is kept:
 
-- "each": every pillar alone. :func:`allowed_sizes` limits width and length to :func:`largest_sides_nm`, so that any two
+- "each": by every pillar alone. :func:`allowed_sizes` limits width and length to :func:`largest_sides_nm`, so that any
+two
   pillars may be neighbours; turned pillars (:mod:`metafab.layout.turned`) keep their extent within it.
-- "pairs": each pair of neighbours. :func:`joint_sizes` admits larger pillars, and :mod:`metafab.layout.joint` chooses
+- "pairs": by each pair of neighbours. :func:`joint_sizes` admits larger pillars, and :mod:`metafab.layout.joint`
+chooses
   sizes that keep the gap.
 
 Gaps are measured by :mod:`metafab.layout.gaps`, and :mod:`metafab.drc` checks the rule on the written file.

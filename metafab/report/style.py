@@ -133,7 +133,7 @@ def colour_bar(mappable: ScalarMappable, axes: Axes, label: str, ticks: Ticks = 
     bar.imshow(shades, cmap=mappable.cmap, **across)
     if isinstance(mappable.norm, LogNorm):
         logarithmic(bar, "y")
-    # A picture of one value gets a range about it.
+    # A picture of one value gets a range around it.
     mappable.set_clim(*bar.yaxis.get_major_locator().nonsingular(*mappable.get_clim()))
     bar.set(xticks=(), ylim=mappable.get_clim())
     if ticks[0]:

@@ -206,7 +206,7 @@ PhaseTerm = Annotated[
 
 
 def forms_images(terms: Collection[str]) -> bool:
-    """Whether a device of terms of these names images points: a lens or a phase of one's own, and no hologram."""
+    """Whether a device of terms of these names images points: one with a lens or a user's array, and no hologram."""
     return not {"lens", "split_lens", "radial", "array"}.isdisjoint(terms) and "hologram" not in terms
 
 

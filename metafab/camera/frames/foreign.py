@@ -81,7 +81,7 @@ def load_frame(path: Path, psf: Psf, *, counts: Counts = _ELECTRONS, first_row: 
 
 
 def _piled_up(values: FloatArray, black: float) -> float | None:
-    """The largest value, if so many pixels have exactly this value that they are saturated; else None."""
+    """Saturation level: the largest value, if many pixels share it exactly; else None."""
     finite = values[np.isfinite(values)]
     if not finite.size or (peak := float(finite.max())) <= max(black, float(finite.min())):
         return None

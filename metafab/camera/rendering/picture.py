@@ -89,7 +89,7 @@ def pieces(
     shifts_px_m: FloatArray,
     polarisation: int,
 ) -> Iterator[Piece]:
-    """Yield what is seen of a picture through the aperture: its surface, and the surface behind its outlines.
+    """Yield the surfaces of a picture that are seen through the aperture: its own, and that behind its outlines.
 
     Args:
         tangent_x: shape (n_y, n_x), x/z of the grid's directions; likewise ``tangent_y``.

@@ -71,7 +71,7 @@ def shaped_plan(
 def _blocks(cell: PillarCell, layers: tuple[Slice, ...], start: float, beyond: float) -> tuple[Block, ...]:
     """Half spaces and layers, which begin at z = ``start``.
 
-    The lowest layer of the pillar continues into what is below it, which then covers its foot: at the rim Meep then
+    The lowest layer of the pillar continues into the medium below, which then covers its foot: at the rim Meep then
     meets two materials and one plane, not three materials.
     """
     upwards = cell.side == "substrate"

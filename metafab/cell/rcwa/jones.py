@@ -125,7 +125,7 @@ def solved_classes(
 def _solve(
     case: SymmetryClass, incoming: Waves, outgoing: Waves, *, by_modes: bool, keep: bool
 ) -> tuple[FaceFields, LitLayer | None]:
-    """Field at the faces of the layer or stack, by the faster way that is accurate; and what is kept of doubling."""
+    """Fields at the faces of the layer or stack, by doubling where that is accurate; and its steps if they are kept."""
     if len(case.layers) > 1 or not isinstance(incoming, PlaneWaves) or not isinstance(outgoing, PlaneWaves):
         upwards = [
             stack.StackLayer(*case.matrices(i), case.thickness_k0(i), _largest_eigenvalue(layer))

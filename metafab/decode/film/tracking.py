@@ -1,4 +1,4 @@
-"""Tracking of segments: those of a part of the window are identified with the last frame's segments about it.
+"""Tracking of segments: those of a part of the window are identified with the last frame's segments around it.
 
 A segment of the part that lies on one of the last frame's segments where the light has not changed continues it. It
 keeps the last frame's depth, which is measured on all pixels of the segment; the part shows only some. The depth is

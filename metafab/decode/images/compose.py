@@ -39,7 +39,7 @@ Patch = tuple[tuple[slice, slice], "PixelMaps", tuple[slice, slice]]
 
 
 def full_depth_m(pixels: PixelDepth, step: int, shape: tuple[int, int]) -> FloatArray:
-    """Depth of each frame pixel from the window about it, m: shape ``shape``; NaN where none is claimed."""
+    """Depth of each frame pixel from the window around it, m: shape ``shape``; NaN where none is claimed."""
     depth_m = enlarged(1.0 / np.maximum(pixels.vergence_per_m, 1e-12), step, shape)
     np.copyto(depth_m, np.nan, where=~repeated(pixels.claimed, step, shape))
     return depth_m
@@ -177,7 +177,7 @@ def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int
     right = np.ones(vergence.shape) if regions.right is None else regions.right
     known &= right >= LEAST_RIGHT
     right = right * same_side(vergence, step)
-    # A window about a pixel of a small object shows what is about the object.
+    # A window around a pixel of a small object holds mostly light of the object's surroundings.
     agrees = claimed & (np.abs(pixels.vergence_per_m - vergence) < RIGHT_WITHIN * vergence)
     pixel_error = np.where(agrees, pixels.relative_error, np.inf)
     trust = np.where(known, confidence(pixel_error, segment_error, right), 0.0)

@@ -1,4 +1,4 @@
-"""Depth of each pixel from the correlation of the twins in windows about it, with its standard error."""
+"""Depth of each pixel from the correlation of the twins in windows around it, with its standard error."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _DARK = 1e-15
 
 @dataclass(frozen=True)
 class PixelDepth:
-    """The depth of each pixel from the windows about it."""
+    """The depth of each pixel from the windows around it."""
 
     vergence_per_m: FloatArray  #: Shape (n_y, n_x), 1/depth at the largest correlation.
     relative_error: FloatArray  #: Shape (n_y, n_x), standard error of depth over depth; inf without texture.

@@ -151,7 +151,7 @@ def misfit_at(
     Args:
         vergence_per_m: shape (n_y, n_x), 1/depth of each pixel; any value where it has none.
         interior: shape (n_y, n_x), number of the segment whose interior holds the pixel, 0 for none.
-        model_error: the calibration's error; by default that which the interiors show, where depths are right.
+        model_error: error of the calibration; by default it is measured in the interiors, where depths are right.
     """
     window = max(3, _WINDOW_PX // prepared.downsampling.step | 1)
     products = volume.at(np.nan_to_num(vergence_per_m, nan=float(volume.vergences_per_m[0]))[None])[:, 0]

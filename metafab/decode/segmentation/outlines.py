@@ -28,7 +28,7 @@ def refined_outlines(
     Args:
         layer: shape (n_y, n_x), initial layer of each pixel, from 0.
         scores: shape (n_layers, n_y, n_x), score of each layer at each pixel; -inf where it is not allowed. A pixel
-            changes its layer if the scores there differ by less than the layers' shares of the window about it.
+            changes its layer if the scores there differ by less than the layers' shares of the window around it.
         counted: shape (n_y, n_x), pixels that count in the shares.
         window: side of the window, odd.
         rounds: most rounds; 0 leaves the outlines as they are.

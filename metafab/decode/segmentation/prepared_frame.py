@@ -138,7 +138,7 @@ class PreparedFrame:
 
     @cached_property
     def floor_e(self) -> NDArray[np.float32]:
-        """Sum of both images below which a pixel is dark, electrons: noise, or blur of what is bright about it.
+        """Sum of both images below which a pixel is dark, electrons: noise, or blur of what is bright around it.
 
         Shape (n_y, n_x), downsampled pixels.
         """

@@ -111,7 +111,7 @@ def noise_separation_per_m(volume: CostVolume, pixels: PixelDepth) -> float:
 
 
 def textured_pixel_depth(prepared: PreparedFrame, volume: CostVolume) -> PixelDepth:
-    """Depth of each pixel, claimed where the window about it lies on a textured surface."""
+    """Depth of each pixel, claimed where the window around it lies on a textured surface."""
     # Shared by both threads below, and computed on all of them.
     variance, _ = prepared.variance, prepared.textured
     with kept_threads() as pool:

@@ -143,7 +143,7 @@ def assign_layers(
     allowed: NDArray[np.bool_] | None = None,
     outline_rounds: int = ROUNDS,
 ) -> NDArray[np.int32]:
-    """Assign each pixel to the layer at whose depth the twins correlate best about it: shape (n_y, n_x), from 1.
+    """Assign each pixel to the layer at whose depth the twins correlate best around it: shape (n_y, n_x), from 1.
 
     Args:
         layers: depths of the layers over the picture.

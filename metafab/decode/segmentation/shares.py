@@ -222,7 +222,7 @@ class _Layers:
     ) -> _Group:
         """Cut tiles, with the indices of the layers in each, out of the frame's pictures.
 
-        ``weight`` is the inverse standard deviation of each pixel, ``light`` the mean light about it, electrons,
+        ``weight`` is the inverse standard deviation of each pixel, ``light`` the mean light around it, electrons,
         positive.
         """
         tiling, step = self.optics.tiling, self.prepared.downsampling.step

@@ -53,7 +53,7 @@ class ResistEnergy:
     """Energy in the resist at every pillar of a pattern, for any doses; the outline is no cross and no ring.
 
     Attributes:
-        beside: what is exposed with the pattern; None for nothing.
+        beside: lenses and shapes that are exposed with the pattern; None for none.
     """
 
     beside: Beside | None = None

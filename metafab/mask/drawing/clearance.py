@@ -70,7 +70,7 @@ def require_within_frame(design: Design, key: str, boxes: IntArray, remedy: str)
 
 
 def _reaches(outline: IntArray, half: int, is_round: bool) -> bool:
-    """Whether a polygon reaches into the disc of radius ``half`` about the origin, or into the square about it."""
+    """Whether a polygon reaches into the disc of radius ``half`` about the origin, or into the square around it."""
     if not is_round:
         return _meet(outline, [np.array([[-half, -half], [half, -half], [half, half], [-half, half]])])
     start = outline.astype(np.float64)

@@ -29,7 +29,7 @@ from metafab.optics.geometry.aperture import sub_apertures_um
 from metafab.optics.geometry.path import Ray, RayNumbers, path_um
 from metafab.optics.sources.source import FieldTile, Source
 
-#: Most blocks of a band, about 30 MB with what is computed from them.
+#: Most blocks of a band, about 30 MB with the arrays computed from them.
 _BAND_BLOCKS = 1 << 18
 #: Largest array of block sums that is held in memory; a pair of polarisations has some six of this order.
 _IN_MEMORY_BYTES = 1 << 26
