@@ -47,7 +47,7 @@ from metafab.decode.segmentation.segments import (
     textured_components,
     with_error_of_straight,
 )
-from metafab.decode.segmentation.shares import outline_owners
+from metafab.decode.segmentation.shares import false_pieces, outline_owners
 from metafab.decode.segmentation.small_objects import SmallObject, small_objects
 
 #: Largest separation of layers, as a share of the calibrated range of vergence.
@@ -161,9 +161,13 @@ def find_regions(
     regions = with_plain_objects(regions, prepared, volume)
     if not (regions.depths and refined):
         return regions
+    step = prepared.downsampling.step
     if optics is not None and not regions.continuous:
+        narrow = [number for number, depth in enumerate(regions.depths, 1) if depth.pixels * step**2 < _NARROW_PX]
+        false = false_pieces(prepared, regions.depths, regions.grown, regions.interior, optics, narrow)
+        regions = regions.without(false)
         owner = outline_owners(prepared, regions.depths, regions.grown, regions.interior, optics)
-        regions = regions if owner is None else with_owners(regions, owner)
+        regions = regions if owner is None else regions.with_owners(owner)
     label = regions.grown
 
     def misfit_of(number: NDArray[np.int32], model_error: float | None = None) -> Misfit:
@@ -172,7 +176,7 @@ def find_regions(
     def at_segment(number: int) -> Misfit:
         return misfit_of(np.full(label.shape, number, dtype=np.int32), own.model_error)
 
-    own, moving, step = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool), prepared.downsampling.step
+    own, moving = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool)
     for _ in range(robust_rounds):
         judged = np.where(prepared.spoiled, np.float32(np.inf), own.over_noise)
         before = regions.depths
@@ -189,7 +193,7 @@ def find_regions(
     if optics is not None:
         reach = _OUTLINE_REACH_PX / step
         owner, own = fitting_segments(label, prepared.spoiled, own, at_segment, reach)
-        regions = with_owners(regions, owner)
+        regions = regions.with_owners(owner)
         label = regions.grown
     misfit_here, unexplained = own.over_noise, np.zeros(label.shape, dtype=bool)
     if optics is not None:
@@ -242,18 +246,6 @@ def with_small_objects(regions: Regions, found: Sequence[SmallObject], volume: C
         for picture in (label, inside, wide):
             picture[one.blob][one.mask] = len(depths)
     return replace(regions, depths=tuple(depths), label=label, interior=inside, grown=wide)
-
-
-def with_owners(regions: Regions, owner: NDArray[np.int32]) -> Regions:
-    """Segments of the depths of before with new outlines: ``owner`` is each pixel's segment or none, (n_y, n_x)."""
-    grown_label = np.where(regions.grown > 0, owner, 0).astype(np.int32)
-    kept = (regions.label > 0) | (grown_label != regions.grown)
-    return replace(
-        regions,
-        label=np.where(kept, grown_label, 0).astype(np.int32),
-        interior=np.where(grown_label == regions.interior, regions.interior, 0).astype(np.int32),
-        grown=grown_label,
-    )
 
 
 def _is_settled(depth: SegmentDepth, before: SegmentDepth, shape: tuple[int, ...]) -> bool:

@@ -80,6 +80,34 @@ class Regions:
         part_of = (self.label[part], self.interior[part], self.grown[part])
         return Regions(self.layers, depths, *part_of, right, self.continuous)
 
+    def with_owners(self, owner: NDArray[np.int32]) -> Regions:
+        """The depths of before with new outlines: ``owner`` is each pixel's segment or none, shape (n_y, n_x)."""
+        grown_label = np.where(self.grown > 0, owner, 0).astype(np.int32)
+        kept = (self.label > 0) | (grown_label != self.grown)
+        return replace(
+            self,
+            label=np.where(kept, grown_label, 0).astype(np.int32),
+            interior=np.where(grown_label == self.interior, self.interior, 0).astype(np.int32),
+            grown=grown_label,
+        )
+
+    def without(self, numbers: Sequence[int]) -> Regions:
+        """The other segments, numbered anew; pixels of those left out go to the nearest other segment."""
+        if not numbers:
+            return self
+        out = np.isin(self.grown, numbers)
+        _, row, column = nearest((self.grown > 0) & ~out)
+        grown_label = np.where(out, self.grown[row, column], self.grown)
+        stays = ~np.isin(np.arange(len(self.depths) + 1), numbers)
+        number = np.where(stays, np.cumsum(stays) - 1, 0).astype(np.int32)
+        return replace(
+            self,
+            depths=tuple(depth for depth, stay in zip(self.depths, stays[1:].tolist(), strict=True) if stay),
+            label=number[np.where(np.isin(self.label, numbers), grown_label, self.label)],
+            interior=number[self.interior],
+            grown=number[grown_label],
+        )
+
     def vergence_per_m(self, label: NDArray[np.int32]) -> FloatArray:
         """1/depth of each pixel's segment, for a label of shape (n_y, n_x): the same shape; NaN for none."""
         one = np.array([np.nan, *(depth.vergence_per_m for depth in self.depths)])

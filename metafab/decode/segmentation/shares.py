@@ -21,7 +21,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects
+from scipy.ndimage import binary_fill_holes, find_objects, gaussian_filter
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
@@ -57,6 +57,11 @@ _GUARD_PX = 12
 #: Least share of a layer's pixels whose texture is typical of all. Small discs before a plain wall, with 26 to 50 %
 #: away from outlines, lose and take pixels if scaled by all of them; a disc of 23 % shrinks if scaled by those.
 _TYPICAL_SHARE = 0.25
+#: Standard deviation of the Gaussian that blurs hard outlines for a misfit, downsampled pixels: that of a pixel that an
+#: outline may cross anywhere is 0.3; with 0.6 the misfit of true outlines is least against shifted ones.
+_HARD_OUTLINE = 0.6
+#: Distance from a narrow segment up to which its misfit counts, frame pixels.
+_ABOUT_PX = 24
 #: Relative difference of vergence from which a layer is nearer than another.
 _NEARER = 2e-3
 #: Most segments, and most memory of their model: pieces of a shattered segmentation are no layers.
@@ -95,6 +100,51 @@ def outline_owners(
         return None
     inner = prepared.downsampling.inner
     return _without_specks(owner[inner], layers.label[inner])
+
+
+def false_pieces(
+    prepared: PreparedFrame,
+    depths: Sequence[SegmentDepth],
+    label: NDArray[np.int32],
+    interior: NDArray[np.int32],
+    optics: LayerOptics,
+    narrow: Sequence[int],
+) -> list[int]:
+    """Narrow segments whose light the segments about them explain better, by the model of the frame.
+
+    Between two outlines the blur of both surfaces may correlate at a depth that is neither's. Such a piece is false if
+    the light of its median pixel fits the nearest other segments better, and so does all light about it: wrong outlines
+    nearby spoil the sum alone.
+
+    Args:
+        prepared, depths, label, interior, optics: as for :func:`outline_owners`.
+        narrow: numbers of the segments that are judged.
+
+    Returns:
+        Numbers of the false ones.
+    """
+    if not 0 < len(narrow) < len(depths) <= _MOST_LAYERS:
+        return []
+    layers = _Layers.of(prepared, depths, label, interior, optics)
+    if layers is None:
+        return []
+    others = np.where(np.isin(layers.label, narrow), 0, layers.label)
+    _, row, column = nearest(others > 0)
+    inner, step = prepared.downsampling.inner, prepared.downsampling.step
+    pieces = [(number, layers.label[inner] == number) for number in narrow]
+    about = [distance(mask) * step <= _ABOUT_PX for _, mask in pieces]
+    judged = set(optics.tiling.tiles_with(np.any(about, axis=0)).tolist())
+    tiles = [one for one in layers.tiles if one[0] in judged]
+    if layers.is_too_large(tiles):
+        return []
+    groups = layers.groups(tiles)
+    own = layers.misfit(groups, layers.label)
+    gained = own - layers.misfit(groups, np.where(layers.label > 0, others[row, column], 0).astype(np.int32))
+    return [
+        number
+        for (number, mask), zone in zip(pieces, about, strict=True)
+        if np.median(gained[mask]) > 0.0 and gained[zone].sum() > 0.0
+    ]
 
 
 def _without_specks(owner: NDArray[np.int32], label: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -139,7 +189,9 @@ class _Layers:
         """The layers of a frame; arguments as for :func:`outline_owners`. None if one has no lit pixel."""
         count, step, margin = len(depths), prepared.downsampling.step, prepared.downsampling.margin
         away, row, column = nearest(segments > 0)
-        label = np.where(prepared.lit & (away * step <= _GROWN_PX), segments[row, column], 0).astype(np.int32)
+        # Dark parts that light encloses send some, too: without it, no outline nearby fits.
+        lit = binary_fill_holes(prepared.lit)
+        label = np.where(lit & (away * step <= _GROWN_PX), segments[row, column], 0).astype(np.int32)
         if not np.bincount(label.ravel(), minlength=count + 1)[1:].all():
             return None
         vergence, middles = np.empty((count, 2)), np.empty((count, optics.tiling.n_tiles))
@@ -148,7 +200,7 @@ class _Layers:
             vergence[index] = own.min(), own.max()
             middles[index] = np.clip(plane.at(*optics.tiling.middles.T.astype(np.float64)), own.min(), own.max())
         hidden_px = _BAND_PX + step * float(np.abs(optics.shifts_px_m).max()) * (vergence.max() - vergence.min())
-        wide, lit = np.pad(label, margin), np.pad(prepared.lit, margin)
+        wide, lit = np.pad(label, margin), np.pad(lit, margin)
         away_px = _distances(wide, count, hidden_px / step) * np.float32(step)
         near = ((away_px <= _BAND_PX) & lit).sum(axis=0, dtype=np.uint8)
         # A piece without pixels away from its outline has none from which its light could be measured: it stays.
@@ -172,16 +224,11 @@ class _Layers:
 
     def owners(self) -> NDArray[np.int32] | None:
         """The layer of the largest share of each pixel, from 1; None where no two touch, or for too much memory."""
-        tiles, (n_y, n_x) = self._tiles, self.optics.tiling.size
-        counts = [len(layers) for _, layers in tiles]
-        if not tiles or sum(counts) * n_y * n_x * _BYTES_A_PIXEL > _MOST_BYTES:
+        tiles = self.tiles
+        if self.is_too_large(tiles):
             return None
-        ends = np.flatnonzero(np.diff(np.cumsum(counts) // _PAIRS_AT_ONCE)) + 1
-        mean = window_means(self.prepared.images, max(3, _LIGHT_PX // self.prepared.downsampling.step | 1))
-        pictures = self._weight(mean), np.maximum(mean.mean(axis=0), np.float32(1e-3))
+        groups = self.groups(tiles)
         with kept_threads() as pool:
-            parts = pairwise([0, *ends.tolist(), len(tiles)])
-            groups = list(pool.map(lambda part: self._group(tiles[slice(*part)], *pictures), parts))
             shares = [group.first for group in groups]
             white: list[NDArray[np.complex64] | None] = [None] * len(groups)
             for _ in range(_ROUNDS):
@@ -196,17 +243,50 @@ class _Layers:
             self._write(group, share, owner[self.prepared.downsampling.inner])
         return owner
 
+    def is_too_large(self, tiles: list[tuple[int, list[int]]]) -> bool:
+        """Whether there is no tile, or too many for the memory of their model."""
+        n_y, n_x = self.optics.tiling.size
+        return not tiles or sum(len(layers) for _, layers in tiles) * n_y * n_x * _BYTES_A_PIXEL > _MOST_BYTES
+
+    def groups(self, tiles: list[tuple[int, list[int]]]) -> list[_Group]:
+        """Tiles with the indices of the layers in each, in groups that are computed at once."""
+        ends = np.flatnonzero(np.diff(np.cumsum([len(layers) for _, layers in tiles]) // _PAIRS_AT_ONCE)) + 1
+        mean = window_means(self.prepared.images, max(3, _LIGHT_PX // self.prepared.downsampling.step | 1))
+        pictures = self._weight(mean), np.maximum(mean.mean(axis=0), np.float32(1e-3))
+        parts = pairwise([0, *ends.tolist(), len(tiles)])
+        with kept_threads() as pool:
+            return list(pool.map(lambda part: self._group(tiles[slice(*part)], *pictures), parts))
+
+    def misfit(self, groups: Sequence[_Group], label: NDArray[np.int32]) -> NDArray[np.float32]:
+        """Energy of each pixel of the window (:meth:`TileLayers.misfit`) by other outlines; 0 beyond the groups.
+
+        ``label`` is the number of each pixel's layer, of the shape of the downsampled images with margin.
+        """
+        tiling = self.optics.tiling
+        energy = np.zeros(self.prepared.lit.shape, dtype=np.float32)
+
+        def of(group: _Group) -> NDArray[np.float32]:
+            windows = np.stack([tiling.window(label, tile) for tile in group.tiles])[group.model.optics.of_tile]
+            share = (windows == (group.layer + 1)[:, None, None]).astype(np.float32)
+            return group.model.misfit(gaussian_filter(share, (0.0, _HARD_OUTLINE, _HARD_OUTLINE)))
+
+        with kept_threads() as pool:
+            for group, found in zip(groups, pool.map(of, groups), strict=True):
+                for tile, core in zip(group.tiles, found[:, *self._core], strict=True):
+                    to = energy[tiling.place(tile)]
+                    to[...] = core[: to.shape[0], : to.shape[1]]
+        return energy
+
     def _write(self, group: _Group, share: NDArray[np.float32], owner: NDArray[np.int32]) -> None:
         """Write the layer of the largest share into the tiles' cores of the owners, at pixels of a segment."""
         tiling, starts = self.optics.tiling, group.model.optics.starts.tolist()
-        rows, columns = (slice(tiling.margin, tiling.margin + n) for n in tiling.core)
         for tile, first, stop in zip(group.tiles, starts, [*starts[1:], len(share)], strict=True):
-            best = group.layer[first:stop][share[first:stop, rows, columns].argmax(axis=0)] + 1
+            best = group.layer[first:stop][share[first:stop, *self._core].argmax(axis=0)] + 1
             to = owner[tiling.place(tile)]
             np.copyto(to, best[: to.shape[0], : to.shape[1]], where=to > 0, casting="same_kind")
 
     @property
-    def _tiles(self) -> list[tuple[int, list[int]]]:
+    def tiles(self) -> list[tuple[int, list[int]]]:
         """Tiles with outlines in their cores, and the layers near the pixels of each that count."""
         tiling, layers, tiles = self.optics.tiling, range(len(self.gains)), []
         open_pixels = ((self.label > 0) & (self.alone == 0))[self.prepared.downsampling.inner]
@@ -243,7 +323,7 @@ class _Layers:
         share /= np.maximum(np.add.reduceat(share, optics.starts, axis=0), np.float32(1e-9))[of_tile]
         single = np.add.reduceat(allowed, optics.starts, axis=0, dtype=np.int8)[of_tile] == 1
         core, counted = np.zeros((2, *tiling.size), dtype=bool)
-        core[tiling.margin :, tiling.margin :][: tiling.core[0], : tiling.core[1]] = True
+        core[self._core] = True
         counted[self._counted] = True
         images, weights, lights = (
             np.stack([tiling.window(one, tile) for tile in numbers]) for one in (self.prepared.images, weight, light)
@@ -265,6 +345,12 @@ class _Layers:
         )
         labelled = allowed & (label == number) & core
         return _Group(numbers, layer, model, share, labelled, labelled & single)
+
+    @property
+    def _core(self) -> tuple[slice, ...]:
+        """The core of a tile."""
+        tiling = self.optics.tiling
+        return tuple(slice(tiling.margin, tiling.margin + n) for n in tiling.core)
 
     @property
     def _counted(self) -> tuple[slice, ...]:

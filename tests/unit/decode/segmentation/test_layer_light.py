@@ -13,6 +13,7 @@ from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import Downsampling
 from metafab.decode.registration.twins import TwinGrid
 from metafab.decode.segmentation.layer_light import LayerLight, LayerOptics
+from metafab.decode.segmentation.tile_shares import TileLayers
 from tests.conjugate_pair import PIXEL_UM, helix_psf
 
 SHAPE, MARGIN = (96, 120), 24
@@ -102,3 +103,27 @@ def test_an_aperture_is_covered_by_the_shifted_outline(optics: LayerOptics) -> N
     del vars(optics)["shifts_px_m"]
     # Whole shifts are exact; transfer functions are of single precision.
     assert np.abs(covered - expected).max() < 1e-5
+
+
+def test_even_light_has_no_seam_where_a_layer_hides_another(optics: LayerOptics) -> None:
+    """An object as bright as the even wall behind it does not show: its outline has no misfit.
+
+    By the visible light of the wall alone, the images would differ by several per cent along the outline.
+    """
+    far, near = 1.0 / 0.0032, 1.0 / 0.0026
+    shifts = np.array([[x, y] for x in (-6.0, 0.0, 6.0) for y in (-6.0, 0.0, 6.0)]) / (near - far)
+    vars(optics)["shifts_px_m"] = shifts
+    gains, of_tile = np.ones((2, 2), dtype=np.float32), np.zeros(2, dtype=np.intp)
+    light = optics.light(of_tile, of_tile, np.array([far, near]), gains)
+    light.transfer[:] /= light.transfer[:, :, :1, :1]  # equal throughput at both depths
+    rows, columns = light.size
+    object_share = np.zeros(light.size, dtype=np.float32)
+    object_share[rows // 4 : rows // 2, columns // 4 : columns // 2] = 1.0
+    whole = np.ones((2, *light.size), dtype=bool)
+    images = np.full((1, 2, *light.size), 1000.0, dtype=np.float32)
+    weight = np.full_like(images, 0.1)  # 1 % of the light
+    aperture = optics.aperture(near - far)
+    del vars(optics)["shifts_px_m"]
+    model = TileLayers(light, gains, [(0, 1, aperture)], images, weight, images[:, 0], whole, whole, 1.0)
+    misfit = model.misfit(np.stack([1.0 - object_share, object_share]))
+    assert misfit.max() < 1e-6

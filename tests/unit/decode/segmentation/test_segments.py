@@ -8,6 +8,7 @@ from scipy.ndimage import binary_opening
 
 from metafab.decode.segmentation.planes import Plane
 from metafab.decode.segmentation.segments import (
+    Regions,
     SegmentDepth,
     connected_segments,
     fragment_targets,
@@ -132,3 +133,16 @@ def test_pixels_along_a_straight_line_are_no_independent_samples() -> None:
     # Many lines beside each other are many samples.
     stripes = 1000.0 + 900.0 * np.sin(row * 1.1)
     assert error(stripes) < 0.75 * error(level)
+
+
+def test_the_pixels_of_a_segment_left_out_go_to_its_neighbours() -> None:
+    depths = tuple(SegmentDepth(1.0 / z, 0.01, 0.9, 1.0, Plane(1.0 / z)) for z in (0.6, 0.3, 0.4))
+    inside = np.where(LABEL == 2, 0, LABEL).astype(np.int32)
+    regions = Regions(3, depths, LABEL, inside, LABEL)
+    others = regions.without([1])
+    assert [1.0 / depth.vergence_per_m for depth in others.depths] == pytest.approx([0.3, 0.4])
+    for picture in (others.label, others.grown):
+        assert (picture[:, :6] == 1).all() and (picture[20:50, 30:60] == 2).all()
+        assert (picture[LABEL == 1] > 0).all() and picture[0, 10] == 1 and picture[35, 65] == 2
+    assert np.array_equal(others.interior > 0, LABEL == 3)
+    assert regions.without([]) is regions
