@@ -117,7 +117,7 @@ def false_pieces(
     nearby spoil the sum alone.
 
     Args:
-        prepared, depths, label, interior, optics: as for :func:`outline_owners`.
+        prepared, depths, label, interior, optics: as for :func:`outline_owners`; labels have the shape (n_y, n_x).
         narrow: numbers of the segments that are judged.
 
     Returns:
