@@ -25,9 +25,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.linalg import lapack
 
 from metafab.cell.rcwa.basis.coordinates import Matrix
+from metafab.cell.rcwa.scattering.faces import amplitudes, lossless_amplitudes, solved
 from metafab.cell.rcwa.scattering.half_space import PlaneWaves
 from metafab.cell.rcwa.scattering.modes import FaceFields
 from metafab.core.conventions import ComplexArray
@@ -102,33 +102,25 @@ def solve_by_doubling(
             return None
         f = half.f
         # Columns: the incident waves, then equal amplitudes from the far side.
-        n, count = incident.shape
+        count = incident.shape[1]
         near_wave = np.divide(incident, incoming.e[:, None], out=np.zeros_like(incident), where=incident != 0.0)
         near_h, far_h = incoming.h[:, None] * near_wave, outgoing.h[:, None] * incident
         far_e = outgoing.e[:, None] * incident
         sums = f.T @ np.hstack([near_h, far_h]) + 1j * (q @ np.hstack([incident, far_e]))
         differences = p @ np.hstack([near_h, -far_h]) - 1j * (f @ np.hstack([incident, -far_e]))
-        # With r and w the outgoing amplitudes, near and far:
-        # (F^T H - i Q E) (r, w) = sums  and  (P H + i F E) (r, -w) = differences.
-        electric = [p * waves.h + (1j * waves.e) * f for waves in (incoming, outgoing)]
-        magnetic = [f.T * waves.h - (1j * waves.e) * q for waves in (incoming, outgoing)]
-        response = _solve(electric[1], np.hstack([electric[0], differences]))
-        if response is None:
+        for leaving in (lossless_amplitudes, amplitudes):
+            left = leaving(p, q, f, (incoming, outgoing), sums, differences)
+            if left is None:
+                continue
+            e_near, e_far = (side.e[:, None] * w for side, w in zip((incoming, outgoing), left, strict=True))
+            # Lorentz reciprocity: transmission from the near to the far side, and back.
+            forward, backward = e_far[:, :count].T @ far_h, near_h.T @ e_near[:, count:]
+            scale = max(np.abs(near_h).max(), np.abs(far_h).max())
+            inconsistency = float(np.abs(forward - backward).max() / scale)
+            if inconsistency <= CONSISTENT:  # NaN fails it too
+                break
+        else:
             return None
-        reduced = magnetic[1] @ response
-        reduced[:, :n] += magnetic[0]
-        reduced[:, n:] += sums
-        r = _solve(reduced[:, :n], reduced[:, n:])
-        if r is None:
-            return None
-        e_near, e_far = incoming.e[:, None] * r, outgoing.e[:, None] * (response[:, :n] @ r - response[:, n:])
-        # Lorentz reciprocity: transmission from the near to the far side, and back.
-        forward, backward = e_far[:, :count].T @ far_h, near_h.T @ e_near[:, count:]
-        scale = max(np.abs(near_h).max(), np.abs(far_h).max())
-        inconsistency = float(np.abs(forward - backward).max() / scale)
-    # The comparison fails for NaN too.
-    if not inconsistency <= CONSISTENT:
-        return None
     faces = FaceFields(e_far[:, :count], e_near[:, :count], inconsistency)
     return LitLayer(faces, FaceFields(e_near[:, count:], e_far[:, count:], inconsistency), far_e, p, q, half)
 
@@ -140,7 +132,7 @@ def slab(p: Matrix, q: Matrix, thickness_k0: float, largest_a: float = np.inf) -
     """
     with np.errstate(all="ignore"):  # non-finite values reach the result, which the caller tests
         whole = doubled(p, q, thickness_k0, largest_a, omitted=0)
-        both = None if whole is None else _solve(p, np.hstack([whole.f, whole.g]))
+        both = None if whole is None else solved(p, np.hstack([whole.f, whole.g]))
     return None if both is None else (both[:, : len(p)], both[:, len(p) :])
 
 
@@ -226,17 +218,5 @@ def _quotient(
 ) -> Matrix | None:
     """``numerator`` times the inverse of ``denominator``; None where that does not exist."""
     # LAPACK takes the transpose of a row-major array without a copy.
-    quotient = _solve(denominator.T, numerator.T, factors)
+    quotient = solved(denominator.T, numerator.T, factors)
     return None if quotient is None else quotient.T
-
-
-def _solve(matrix: Matrix, columns: Matrix, factors: list[tuple[Matrix, Matrix]] | None = None) -> Matrix | None:
-    """Solve by LAPACK directly, as NumPy's checks take as long as a small system; None if singular.
-
-    The LU factors of ``matrix`` are appended to ``factors``.
-    """
-    gesv = lapack.dgesv if matrix.dtype == columns.dtype == np.float64 else lapack.zgesv
-    lu, pivots, solution, info = gesv(matrix, columns)
-    if factors is not None:
-        factors.append((lu, pivots))
-    return np.asarray(solution) if info == 0 else None
