@@ -93,7 +93,9 @@ def _smallest_square(
     of minus infinity, which is infinitely far from every neighbour.
     """
     n_y, n_x = size_index.shape
-    smallest = np.full(n_x, np.inf)
+    smallest = np.empty(n_x)  # Loops here and at the end: full and min take half a second to compile.
+    for column in range(n_x):
+        smallest[column] = np.inf
     half = np.empty((2, 2, n_x))  # half widths and half lengths of two rows in turn
     for row in range(min(rows + 1, n_y)):
         here = half[row % 2]
@@ -114,7 +116,10 @@ def _smallest_square(
             for k in range(count):
                 square = signed_square(x - width[k] - other_width[k], y - length[k] - other_length[k])
                 smallest[k] = min(smallest[k], square)
-    return smallest.min() if n_x > 0 else np.inf
+    least = np.inf
+    for column in range(n_x):
+        least = min(least, smallest[column])
+    return least
 
 
 @compiled

@@ -92,7 +92,10 @@ def _mixed_products(
     """As :func:`mixed_products`, for images of whole blocks."""
     n_basis, count, columns = weights.shape[4], weights.shape[3], wanted.shape[1]
     for row in range(first, stop):
-        if not wanted[row].any():
+        some = False
+        for column in range(columns):
+            some |= wanted[row, column]
+        if not some:
             continue
         # The pixels of a block are contiguous, so that the mixing runs over all of them at once.
         inputs = np.empty((2, columns, n_basis, block * block), dtype=np.float32)

@@ -169,9 +169,15 @@ def repeated(values: NDArray[Any], step: int, shape: tuple[int, int]) -> NDArray
     return outer_index(values, rows, columns)
 
 
-@compiled
 def outer_index(values: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[Any]:
     """``values[np.ix_(rows, columns)]`` of an array of shape (n_y, n_x), faster: shape (rows.size, columns.size)."""
+    # Bits, so that one form is compiled for all types of a size.
+    bits = _outer_index(values.view(f"u{values.itemsize}"), rows, columns)
+    return bits.view(values.dtype)
+
+
+@compiled
+def _outer_index(values: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[Any]:
     out = np.empty((rows.size, columns.size), dtype=values.dtype)
     for i in range(rows.size):
         line, to = values[rows[i]], out[i]
