@@ -91,18 +91,18 @@ def open_line_corrections(tables: SizeTables, size_index: IndexArray) -> Complex
 
 def open_line_slopes(
     tables: SizeTables, size_index: IndexArray, weight: ComplexArray
-) -> tuple[ComplexArray, FloatArray]:
+) -> tuple[ComplexArray, ComplexArray]:
     """:func:`open_line_corrections`, and the derivatives of F, their sum by ``weight``, by the size of each pillar.
 
-    ``weight`` is 0 where no pillar stands. Corrections and weights have shape (lines, sites); derivatives of Re F by
-    the size along and across the line, per nm, shape (lines, sites, 2).
+    ``weight`` is 0 where no pillar stands. Corrections and weights have shape (lines, sites); derivatives by the size
+    along and across the line, per nm, shape (lines, sites, 2).
     """
     return _solved(tables, size_index, np.ascontiguousarray(weight, dtype=np.complex128))
 
 
-def _solved(tables: SizeTables, size_index: IndexArray, weight: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+def _solved(tables: SizeTables, size_index: IndexArray, weight: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
     corrections = np.empty(size_index.shape, dtype=np.complex128)
-    slopes = np.empty((*weight.shape, 2), dtype=np.float64)
+    slopes = np.empty((*weight.shape, 2), dtype=np.complex128)
     _solve_lines(
         np.ascontiguousarray(size_index),
         tables.even,
@@ -155,7 +155,7 @@ def _solve_lines(
     uniform: ComplexArray,
     weight: ComplexArray,
     corrections: ComplexArray,
-    slopes: FloatArray,
+    slopes: ComplexArray,
 ) -> None:
     """Fill ``corrections``, shape (lines, sites), and ``slopes`` where there are weights; ``LANES`` lines at a time."""
     lines, sites = size_index.shape
@@ -216,7 +216,7 @@ def _substitute_back(
     first: int,
     weight: ComplexArray,
     uniform: ComplexArray,
-    slopes: FloatArray,
+    slopes: ComplexArray,
 ) -> None:
     """Fill the light of all sites, and the slopes where there are weights, from the last site to the first."""
     even, modes, n_terms, own = chain.even, chain.modes, chain.rows.shape[1], chain.own
@@ -247,8 +247,8 @@ def _substitute_back(
             _collect(work, behind, chain, space, m)
             subtract_dot(work, slope, work, behind, amplitude, 0, modes)
             for lane in range(min(LANES, lines - first)):
-                fixed = weight[first + lane, m] * uniform[size_index[first + lane, m], 1 + axis]
-                slopes[first + lane, m, axis] = -work[slope * ELEMENT + lane] - fixed.real
+                at, fixed = slope * ELEMENT + lane, uniform[size_index[first + lane, m], 1 + axis]
+                slopes[first + lane, m, axis] = -complex(work[at], work[at + LANES]) - weight[first + lane, m] * fixed
 
 
 @compiled

@@ -53,19 +53,19 @@ class NeighbourTables:
         found = [open_line_corrections(x, size_index) + open_line_corrections(y, size_index.T).T for x, y in pairs]
         return np.asarray(found)
 
-    def slopes(self, size_index: IndexArray, weight: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+    def slopes(self, size_index: IndexArray, weight: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Corrections of all sites of a window whose ends have no neighbours, and derivatives of their weighted sum.
 
         ``weight``, shape (2, n_y, n_x), is of the field of x and y polarised light; 0 where no pillar stands.
-        Corrections have its shape; derivatives, shape (n_y, n_x, 2), per nm, are of the real part of the sum over all
-        sites and both polarisations by width and length of each pillar.
+        Corrections have its shape; derivatives, shape (2, n_y, n_x, 2), per nm, are of the sum over all sites, for each
+        polarisation, by width and length of each pillar.
         """
         field = np.empty(weight.shape, dtype=np.complex128)
-        slopes = np.zeros((*size_index.shape, 2), dtype=np.float64)
+        slopes = np.empty((*weight.shape, 2), dtype=np.complex128)
         for light in range(2):
             rows, by_rows = open_line_slopes(self.along_x[light], size_index, weight[light])
             columns, by_columns = open_line_slopes(self.along_y[light], size_index.T, weight[light].T)
             field[light] = rows + columns.T
-            slopes += by_rows
-            slopes += by_columns.transpose(1, 0, 2)[..., ::-1]
+            slopes[light] = by_rows
+            slopes[light] += by_columns.transpose(1, 0, 2)[..., ::-1]
         return field, slopes

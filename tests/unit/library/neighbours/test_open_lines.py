@@ -72,8 +72,8 @@ def test_slopes_are_those_of_a_weighted_sum() -> None:
     corrections, slopes = open_line_slopes(tables, index, weight[None])
     assert np.array_equal(corrections, open_line_corrections(tables, index))
 
-    def total(moved: np.ndarray) -> float:
-        return float(sum((weight[part] @ _dense(model, moved[part])).real for part in (slice(0, 4), slice(5, 12))))
+    def total(moved: np.ndarray) -> complex:
+        return complex(sum(weight[part] @ _dense(model, moved[part]) for part in (slice(0, 4), slice(5, 12))))
 
     scale = np.abs(slopes).max()
     for site in (0, 3, 5, 8, 11):
