@@ -166,7 +166,7 @@ class ExposedLens:
     pillars: PillarMap  #: Drawn pillars, upright.
     beside: Beside | None = None  #: What is exposed with the lens.
     dose: float = 1.0  #: Dose of the whole lens relative to the base dose, a factor on that of each pillar.
-    number: int = 1  #: Its number, by which lenses beside another one are found.
+    number: int = 1  #: Number of the lens, by which ``beside`` of other lenses refers to it.
 
 
 def expose(
@@ -236,7 +236,8 @@ def expose_lenses(
                         at_dose = one.at(lens.dose, dosed)
                         continuous[key] = predict(at_dose.process, at_dose.dose, NO_PLACES).sums
                 of_site, class_dose = quantised(dosed, _class_count(numerics, dosed, list(continuous.values())))
-                rounded = {key: class_dose.astype(np.float32)[of] for key, of in {id(of): of for of in of_site}.items()}
+                distinct = {id(of): of for of in of_site}  # lenses that share their classes share one array of doses
+                rounded = {key: class_dose.astype(np.float32)[of] for key, of in distinct.items()}
                 dosed = [replace(one, dose=rounded[id(of)]) for one, of in zip(dosed, of_site, strict=True)]
         elif correction == "shape":
             pattern = (psf, outline, first.beside, ratio, executor)

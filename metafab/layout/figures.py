@@ -30,7 +30,7 @@ class TileSums:
     power: FloatArray  #: Shape (2,), sum of |t|^2.
     square_error: FloatArray  #: Shape (2,), sum of (arg t - target)^2, each difference wrapped to (-pi, pi].
     used: NDArray[np.int64]  #: Shape (n_sizes + 1,), number of pillars of each size.
-    smallest_gap_dbu: float  #: Over all pairs with a pillar in the tile, neighbours in other tiles included.
+    smallest_gap_dbu: float  #: Smallest gap of all pairs with a pillar in the tile; the other may lie in another tile.
     #: Sums of the sizes that keep the gap independently, where sizes were then chosen jointly.
     each: TileSums | None = None
     #: Shape (2, 2), overlaps by the model of neighbours, of the sizes that suit equal neighbours best and of those
@@ -69,7 +69,7 @@ class TileSums:
         )
 
     def with_light_of(self, sample: TileSums) -> TileSums:
-        """These sums with the light among neighbours that the pillars of a sample have on average."""
+        """Return these sums with the mean light that a sample's pillars have among their neighbours."""
         assert sample.among is not None
         assert sample.among_square_error is not None
         share = self.pillars / sample.pillars

@@ -56,7 +56,7 @@ def smallest_gap(
     limit_square = limit_dbu * abs(limit_dbu)
     listed = np.empty((LISTED, 2), dtype=np.int64)
     square, below, overlapping = np.inf, 0, 0
-    # The fast kernel shows that most blocks hold no rectangle below the limit.
+    # In most blocks no pair is below the limit, which this fast kernel shows.
     if outline.is_rectangle:
         square = float(_smallest_square(block, size, pairs, centres, rows))
     if not outline.is_rectangle or square < limit_square:
@@ -105,7 +105,7 @@ def _smallest_square(
             here[1, column] = 0.5 * size_dbu[size, 1] if size > 0 else -np.inf
         for pair in range(len(pairs)):
             down, right = pairs[pair]
-            # The first site of the pair lies in the row before or in this row, which may be beyond the first rows.
+            # The pair's first site lies ``down`` rows before its second; it must exist and be among the first ``rows``.
             if row < down or row - down >= rows:
                 continue
             first, second = half[(row - down) % 2], here

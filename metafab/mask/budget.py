@@ -10,7 +10,7 @@ from metafab.core.storage.limits import beyond, limit
 _BYTES = 256e6
 #: Default of the limit ``seconds``: for any file, or for each byte of it, whichever is more.
 _SECONDS, _SECONDS_OF_A_BYTE = 2.5, 2.5e-7
-#: Further default of that limit for each site.
+#: Added to that default for each site of the design.
 _SECONDS_OF_A_SITE = 1e-7
 #: Estimated processor time, s, of a byte of a block or a list, and of a shape at its place.
 _SECONDS_TO_INFLATE, _SECONDS_OF_A_PLACE = 1.5e-9, 1e-7

@@ -88,9 +88,9 @@ def psf_of_stack(
     Args:
         stack: shape (channels, n_depth, n_y, n_x), one or two channels, lowest row first; counts of any scale.
         depth_m: shape (n_depth,), increasing, relative to ``zero_m``.
-        split_um: (x, y) from the x to the y image; made by default.
-        distance_mm: distance of the sensor; made by default.
-        zero_m: distance from the lens of depth 0; by default 0, or made where a depth is not positive.
+        split_um: (x, y) from the x to the y image; assumed if not given.
+        distance_mm: distance of the sensor; assumed if not given.
+        zero_m: distance from the lens of depth 0; if not given 0, or assumed where a depth is not positive.
         centring: rule for the centre.
         integrated: whether values are integrals over the pixel, as a camera's are, or samples at its centre. The pair
             is stored as samples: integrals are divided by the pixel's transfer function.
@@ -164,7 +164,7 @@ def psf_of_stack(
 def _checked(
     stack: FloatArray, depth_m: FloatArray, pixel_um: float, zero_m: float | None
 ) -> tuple[FloatArray, float, list[str]]:
-    """Depths from the lens, their zero, and what was made for them."""
+    """Depths from the lens, their zero, and the assumptions on them."""
     faults = []
     if stack.ndim != 4 or stack.shape[0] not in {1, 2} or min(stack.shape[2:]) < _SMALLEST_PX:
         expected = f"(1 or 2 channels, depths, rows, columns), {_SMALLEST_PX} pixels a side or more"

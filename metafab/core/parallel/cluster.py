@@ -26,7 +26,8 @@ Result = TypeVar("Result")
 #: Wanted time (s) and size (bytes) of one call, which set the number of its items. Dask spends 15 ms of processor time
 #: on a call, on client, scheduler and worker: as much as a tile of a mask takes.
 _CALL_S, _CALL_BYTES = 0.2, 8e6
-#: Sizes from which memory is given back, by option of glibc's ``mallopt``: free memory, and a block of its own.
+#: Bytes by option of glibc's ``mallopt``: free memory beyond which it goes back to the system (M_TRIM_THRESHOLD, -1),
+#: and blocks that are mapped separately (M_MMAP_THRESHOLD, -3).
 _MALLOC_BYTES = {-1: 1 << 26, -3: 1 << 25}
 #: Time without any worker after which a warning is logged (s).
 PATIENCE_S = 30.0

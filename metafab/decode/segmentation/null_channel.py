@@ -30,7 +30,7 @@ from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Side of the square about a pixel in which a null channel is computed, downsampled pixels.
 WINDOW = 96
-#: Side of its even part, downsampled pixels.
+#: Side of the part of the window where its weight is 1, downsampled pixels.
 _EVEN = 44
 #: Rms contrast of an object's texture.
 _TEXTURE = 0.2
@@ -219,7 +219,7 @@ class RectangleEvidence:
 
 @dataclass(frozen=True)
 class _Response:
-    """What the evidence at one depth needs, for a texture lit differently in both images; a lit pixel has light 1."""
+    """Terms of the evidence at one depth, for a texture lit differently in both images; a lit pixel has light 1."""
 
     pairs: FloatArray  # (n, 3 (n // 2 + 1)), products of both images' responses, side by side: x x, x y, y y
     lit: NDArray[np.complex128]  # (2, n, n // 2 + 1), products of either image's response and a lit pixel's

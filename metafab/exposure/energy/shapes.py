@@ -35,7 +35,7 @@ class Part:
     high_nm: FloatArray  #: Upper end along y.
 
     def along_y(self, y_nm: FloatArray | float, range_nm: FloatArray | float) -> FloatArray:
-        """Energy of a Gaussian at ``y_nm`` of stripes as long, times ``share``: shape (n_sizes,)."""
+        """Energy of a Gaussian at ``y_nm`` of stripes from low to high end, times ``share``: shape (n_sizes,)."""
         ends = erf((y_nm - self.low_nm) / range_nm) - erf((y_nm - self.high_nm) / range_nm)
         return np.asarray(0.5 * self.share * ends)
 
@@ -65,7 +65,7 @@ class Shapes:
 
     @classmethod
     def _drawn(cls, size_nm: FloatArray, corners_nm: Sequence[FloatArray], has_corners: bool) -> Shapes:
-        """Shapes by the corners of their polygons, or of these in the first quadrant."""
+        """Return shapes from all corners of their outlines, or from those in the first quadrant."""
         quadrants = tuple(_quadrant(corners) for corners in corners_nm)
         area, along_x, along_y = np.array([_moments(quadrant) for quadrant in quadrants]).T
         sides = np.sqrt(12.0 * np.stack([along_x, along_y], axis=1) / np.maximum(area, 1e-9)[:, None])
@@ -127,7 +127,7 @@ def _moments(quadrant_nm: FloatArray) -> tuple[float, float, float]:
 def _strips(quadrant_nm: FloatArray, step_nm: float, refined: int) -> FloatArray:
     """Half width, lower and upper end of strips, shape (n, 3).
 
-    Each side of the outline has as many of equal height as it is steps long, times ``refined``.
+    Each side of the outline gets ``refined`` strips of equal height for each started step of its length.
     """
     length = np.hypot(*np.diff(quadrant_nm, axis=0).T)
     count = refined * np.maximum(1, np.ceil(length / step_nm)).astype(int)

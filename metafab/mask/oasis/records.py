@@ -75,7 +75,7 @@ def pillar_records(
         cell: place of the first site.
         scan: order of the places of a size.
         absolute: whether positions are absolute; else each is relative to the record before. Absolute ones are needed
-            where other tiles precede in the same cell. No other modal variable is taken from before the first record.
+            where other tiles precede in the same cell. The first record states all other modal variables.
     """
     modal, records = np.array([-1, -1, 0, 0], dtype=np.int64), []
     for tile, stamp in parts:

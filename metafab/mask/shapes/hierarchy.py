@@ -61,7 +61,7 @@ class Chunk:
 
     rectangles: IntArray  #: Pillars, shape (n, 4), x and y of the lower left corner, width, height, in file units.
     others: tuple[Other, ...] = ()  #: All other shapes on the pillar layer, already moved by ``shift``.
-    #: Shape (2,), still to be added to x and y of the rectangles: this costs nothing where they are put at their sites.
+    #: Shape (2,), still to be added to x and y of the rectangles, which is free when they are put at their sites.
     shift: IntArray = field(default_factory=lambda: _ORIGIN)
 
     def shift_under(self, turn: Orientation) -> IntArray:

@@ -22,7 +22,7 @@ PLACED, OFF_SITE, DUPLICATE, OFF_GRID, TOO_MANY_SIZES = range(5)
 #: Rectangles that are kept with their places; beyond, they are only counted.
 KEPT = 200_000
 
-#: Rectangles after which an array on disk gives its memory back: some 10 MB, in a file that is written by tiles.
+#: Rectangles after which the pages of an array on disk are released, some 10 MB where tiles follow each other.
 _RELEASED = 1 << 22
 
 

@@ -80,8 +80,8 @@ def loss_chain(
         ideal_passed: shape (2,), share that passes the opening behind the target phases.
         coupling: efficiency of full-wave rows over that of the same rows by the library, of x and of y polarised light;
             None if not measured.
-        stopped: shape (2,), share that passes a substrate, stop or amplitude before the pillars and keeps its
-            polarisation, which is contained in ``transmitted`` and both efficiencies; None for none.
+        stopped: shape (2,), share that substrate, stop and amplitude before the pillars pass with its polarisation
+            kept, a factor of the other three shares; None without these elements.
         opening: name of the opening.
 
     Returns:

@@ -42,6 +42,7 @@ _COMPONENTS = 4
 _NEAREST_LOBE = 0.7
 #: Samples a side of the pupil for the search of the lobe's radius and target points.
 _COARSE = 48
+#: Rounds in which the target points are moved against the drift of the lobe.
 _STEERING_ROUNDS = 10
 
 #: Quantity that is maximised: the mean of the peaks over depth, or the smallest.
@@ -87,7 +88,7 @@ def peak_bound(waves: ComplexArray, weights: FloatArray, iterations: int, seed: 
 
 
 def worst_peak_bound(waves: ComplexArray, start: ComplexArray, iterations: int) -> PeakBound:
-    """Bound the smallest of the peaks |<f_d, p>|^2 for all masks p, by their weighted mean at the least weights.
+    """Bound the smallest of the peaks |<f_d, p>|^2 for all masks p, by a weighted mean that is as low as possible.
 
     The weights come from the relaxation with levelled peaks: a depth gains weight while its peak is below the mean. The
     bounds hold after any number of steps. ``waves`` are as in :func:`peak_bound`; ``start``, shape (n_waves,), holds
@@ -240,7 +241,7 @@ def _mask(total: ComplexArray) -> ComplexArray:
 
 
 def _solve(waves: ComplexArray, goal: Goal, iterations: int, seed: int) -> ComplexArray:
-    """Amplitudes of the best mask for target waves, from the relaxed solution on."""
+    """Amplitudes of the best mask for target waves; the iteration starts at the relaxed solution."""
     weights = _uniform(waves)
     start = peak_bound(waves, weights, iterations, seed).start
     amplitude = _iterate(waves, weights, start, iterations)

@@ -42,7 +42,7 @@ _LENGTHS: dict[str, Callable[[dict[str, Any]], str]] = {
 def faults_of(error: ValidationError, spec: Any) -> list[Fault]:
     """Return one fault for each error that the validation library found; the keys of ``spec`` are suggested."""
     if (count := error.error_count()) > _MOST_FAULTS:
-        return [Fault("", f"{count} faults, too many to be told one by one; is it another program's file?", "")]
+        return [Fault("", f"{count} faults, too many to list one by one; is it another program's file?", "")]
     # A list whose items have faults of their own is also called too short.
     return [
         _fault(item, spec)
