@@ -224,6 +224,7 @@ def fitting_segments(
     own: Misfit,
     misfit_of: Callable[[int], Misfit],
     reach: float,
+    explained: Callable[[NDArray[np.int32]], NDArray[np.bool_]] | None = None,
 ) -> tuple[NDArray[np.int32], Misfit]:
     """Give pixels that do not fit their segment to a segment nearby that they fit, where it is connected with them.
 
@@ -234,6 +235,7 @@ def fitting_segments(
         own: misfit of each pixel at its segment's depth.
         misfit_of: returns the misfit of all pixels at the depth of a segment, by its number.
         reach: largest distance of the other segment, pixels.
+        explained: returns where new segments of the pixels, shape (n_y, n_x), explain the frame better; all by default.
 
     Returns:
         The segments, and the misfit at their depths.
@@ -250,6 +252,8 @@ def fitting_segments(
         np.copyto(over_noise, other.over_noise, where=takes)
         np.copyto(of_texture, other.of_texture, where=takes)
     moved = connected_moves(label, moved)
+    if explained is not None and moved.any():
+        moved = connected_moves(label, np.where(explained(np.where(moved > 0, moved, label)), moved, 0))
     stays = moved == 0
     fits = replace(
         own,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +48,7 @@ from metafab.decode.segmentation.segments import (
     textured_components,
     with_error_of_straight,
 )
-from metafab.decode.segmentation.shares import false_pieces, outline_owners
+from metafab.decode.segmentation.shares import explained_moves, false_pieces, outline_owners
 from metafab.decode.segmentation.small_objects import SmallObject, small_objects
 
 #: Largest separation of layers, as a share of the calibrated range of vergence.
@@ -192,7 +193,9 @@ def find_regions(
             own = misfit_of(label)
     if optics is not None:
         reach = _OUTLINE_REACH_PX / step
-        owner, own = fitting_segments(label, prepared.spoiled, own, at_segment, reach)
+        model = (regions.depths, label, regions.interior, optics)
+        judge = None if regions.continuous else partial(explained_moves, prepared, *model)
+        owner, own = fitting_segments(label, prepared.spoiled, own, at_segment, reach, judge)
         regions = regions.with_owners(owner)
         label = regions.grown
     misfit_here, unexplained = own.over_noise, np.zeros(label.shape, dtype=bool)

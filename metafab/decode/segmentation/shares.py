@@ -60,8 +60,10 @@ _TYPICAL_SHARE = 0.25
 #: Standard deviation of the Gaussian that blurs hard outlines for a misfit, downsampled pixels: that of a pixel that an
 #: outline may cross anywhere is 0.3; with 0.6 the misfit of true outlines is least against shifted ones.
 _HARD_OUTLINE = 0.6
-#: Distance from a narrow segment up to which its misfit counts, frame pixels.
+#: Distance from a narrow segment, or from moved pixels, up to which misfits count, frame pixels.
 _ABOUT_PX = 24
+#: Standard deviation of the Gaussian over which the gain of a move is pooled, frame pixels.
+_JUDGED_PX = 8.0
 #: Relative difference of vergence from which a layer is nearer than another.
 _NEARER = 2e-3
 #: Most segments, and most memory of their model: pieces of a shattered segmentation are no layers.
@@ -133,18 +135,44 @@ def false_pieces(
     inner, step = prepared.downsampling.inner, prepared.downsampling.step
     pieces = [(number, layers.label[inner] == number) for number in narrow]
     about = [distance(mask) * step <= _ABOUT_PX for _, mask in pieces]
-    judged = set(optics.tiling.tiles_with(np.any(about, axis=0)).tolist())
-    tiles = [one for one in layers.tiles if one[0] in judged]
-    if layers.is_too_large(tiles):
+    without = np.where(layers.label > 0, others[row, column], 0).astype(np.int32)
+    gain = layers.gain(without, np.any(about, axis=0))
+    if gain is None:
         return []
-    groups = layers.groups(tiles)
-    own = layers.misfit(groups, layers.label)
-    gained = own - layers.misfit(groups, np.where(layers.label > 0, others[row, column], 0).astype(np.int32))
     return [
         number
         for (number, mask), zone in zip(pieces, about, strict=True)
-        if np.median(gained[mask]) > 0.0 and gained[zone].sum() > 0.0
+        if np.median(gain[mask]) > 0.0 and gain[zone].sum() > 0.0
     ]
+
+
+def explained_moves(
+    prepared: PreparedFrame,
+    depths: Sequence[SegmentDepth],
+    label: NDArray[np.int32],
+    interior: NDArray[np.int32],
+    optics: LayerOptics,
+    moved: NDArray[np.int32],
+) -> NDArray[np.bool_]:
+    """Moves of pixels to other segments by which the light about them fits better, by the model of the frame.
+
+    Args:
+        prepared, depths, label, interior, optics: as for :func:`outline_owners`; labels have the shape (n_y, n_x).
+        moved: shape (n_y, n_x), other segments of the pixels that move, ``label`` elsewhere.
+
+    Returns:
+        Shape (n_y, n_x); all moves where the model does not apply.
+    """
+    moves = np.asarray(moved != label)
+    if not moves.any() or not 2 <= len(depths) <= _MOST_LAYERS:
+        return moves
+    step, margin = prepared.downsampling.step, prepared.downsampling.margin
+    layers = _Layers.of(prepared, depths, label, interior, optics)
+    if layers is None:
+        return moves
+    other = np.where((layers.label > 0) & np.pad(moves, margin), np.pad(moved, margin), layers.label)
+    gain = layers.gain(other.astype(np.int32), distance(moves) * step <= _ABOUT_PX)
+    return moves if gain is None else moves & (gaussian_filter(gain, _JUDGED_PX / step) > 0.0)
 
 
 def _without_specks(owner: NDArray[np.int32], label: NDArray[np.int32]) -> NDArray[np.int32]:
@@ -257,25 +285,37 @@ class _Layers:
         with kept_threads() as pool:
             return list(pool.map(lambda part: self._group(tiles[slice(*part)], *pictures), parts))
 
-    def misfit(self, groups: Sequence[_Group], label: NDArray[np.int32]) -> NDArray[np.float32]:
-        """Energy of each pixel of the window (:meth:`TileLayers.misfit`) by other outlines; 0 beyond the groups.
+    def gain(self, label: NDArray[np.int32], near: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+        """Misfit of the layers' pixels less that with other outlines, by pixel of the window: shape (n_y, n_x).
 
-        ``label`` is the number of each pixel's layer, of the shape of the downsampled images with margin.
+        ``label`` is the other number of each pixel's layer, of the shape of the downsampled images with margin. Tiles
+        without pixels ``near`` where it differs, shape (n_y, n_x), are 0. None without tiles, or for too much memory.
         """
-        tiling = self.optics.tiling
-        energy = np.zeros(self.prepared.lit.shape, dtype=np.float32)
+        judged = set(self.optics.tiling.tiles_with(near).tolist())
+        tiles = [one for one in self.tiles if one[0] in judged]
+        if self.is_too_large(tiles):
+            return None
+        tiling, gain = self.optics.tiling, np.zeros(near.shape, dtype=np.float32)
 
         def of(group: _Group) -> NDArray[np.float32]:
-            windows = np.stack([tiling.window(label, tile) for tile in group.tiles])[group.model.optics.of_tile]
-            share = (windows == (group.layer + 1)[:, None, None]).astype(np.float32)
-            return group.model.misfit(gaussian_filter(share, (0.0, _HARD_OUTLINE, _HARD_OUTLINE)))
+            number = (group.layer + 1)[:, None, None]
+            own, other = (
+                np.stack([tiling.window(one, tile) for tile in group.tiles])[group.model.optics.of_tile] == number
+                for one in (self.label, label)
+            )
+            before, after = (
+                group.model.misfit(gaussian_filter(one.astype(np.float32), (0.0, _HARD_OUTLINE, _HARD_OUTLINE)))
+                for one in (own, other)
+            )
+            return before - after
 
+        groups = self.groups(tiles)
         with kept_threads() as pool:
             for group, found in zip(groups, pool.map(of, groups), strict=True):
                 for tile, core in zip(group.tiles, found[:, *self._core], strict=True):
-                    to = energy[tiling.place(tile)]
+                    to = gain[tiling.place(tile)]
                     to[...] = core[: to.shape[0], : to.shape[1]]
-        return energy
+        return gain
 
     def _write(self, group: _Group, share: NDArray[np.float32], owner: NDArray[np.int32]) -> None:
         """Write the layer of the largest share into the tiles' cores of the owners, at pixels of a segment."""

@@ -101,6 +101,8 @@ def test_pixels_go_to_a_connected_segment_that_they_fit() -> None:
     np.testing.assert_array_equal(fits.over_noise, np.where(moved == label, over, np.float32(1.5)))
     np.testing.assert_array_equal(fitting_segments(label, spoiled, own, misfit_of, 3.0)[0][5:12, 22:27], 1)
     np.testing.assert_array_equal(fitting_segments(label, ~spoiled, own, misfit_of, 40.0)[0], label)
+    none = fitting_segments(label, spoiled, own, misfit_of, 40.0, lambda to: np.zeros(to.shape, dtype=bool))[0]
+    np.testing.assert_array_equal(none, label)  # no move explains the frame better
 
 
 def measured(surface: np.ndarray, label: np.ndarray, depths: list[float]) -> tuple[Regions, PixelDepth]:

@@ -14,7 +14,7 @@ from metafab.decode.segmentation import shares
 from metafab.decode.segmentation.planes import Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
-from metafab.decode.segmentation.shares import false_pieces, outline_owners
+from metafab.decode.segmentation.shares import explained_moves, false_pieces, outline_owners
 from metafab.decode.segmentation.tile_shares import TileLayers
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
@@ -97,3 +97,19 @@ def test_a_piece_that_its_neighbours_explain_better_is_false(
     piece = replace(depths[0], vergence_per_m=nearer, plane=Plane(nearer))
     model = {"depths": (*depths, piece), "label": label, "interior": np.where(label == 3, 0, interior)}
     assert false_pieces(prepared, **model, optics=segments["optics"], narrow=[3]) == [3]
+
+
+def test_moves_of_pixels_are_judged_by_the_light_about_them(
+    wall_and_object: tuple[PreparedFrame, dict[str, Any]],
+) -> None:
+    """Half of an object given to the wall does not explain the frame; given back, it does."""
+    prepared, segments = wall_and_object
+    label = segments["label"]
+    nearest = 1 + int(np.argmax([depth.vergence_per_m for depth in segments["depths"]]))
+    rows = np.nonzero(label == nearest)[0]
+    half = label == nearest
+    half[int(np.median(rows)) :] = False
+    without = np.where(half, 3 - nearest, label).astype(np.int32)
+    assert not explained_moves(prepared, **segments, moved=without).any()
+    back = explained_moves(prepared, **segments | {"label": without}, moved=label)
+    assert back[half].mean() > 0.9 and not back[~half].any()
