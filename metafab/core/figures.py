@@ -391,7 +391,7 @@ class OrderFigures:
     angle_x_deg: float  #: Angle behind the mask whose sine is the direction's component along x; likewise y.
     angle_y_deg: float
     efficiency: float  #: Power over the incident power, by full wave.
-    library_efficiency: float  #: The same by the library, each pillar among its like.
+    library_efficiency: float  #: The same by the library, each pillar among equal ones.
     error: float  #: Bound on the error of ``efficiency``: of the solver, and of the windows that were not solved.
     wanted: bool  #: Whether the library's light is at least half as bright as in its brightest order.
 
@@ -425,7 +425,7 @@ class OrdersFigures:
 
     @property
     def sentence(self) -> str:
-        """Light in the wanted orders in words, or why it is known by the library alone."""
+        """Light in the wanted orders in words, or why it comes from the library alone."""
         if self.efficiency_ratio is not None:
             return (
                 f"{self.windows} rows of the lens by full wave bring {self.efficiency_ratio:.2g} times the library's "

@@ -91,7 +91,7 @@ class _Both(RendererSVG):
         self._pixels.draw_markers(self._on_pixels(gc), *larger, rgbFace)
 
     def draw_path_collection(self, *args: Any, **options: Any) -> None:
-        # Each path by `draw_path`: the method of RendererSVG would draw no pixels.
+        # Draws each path with `draw_path`: the method of RendererSVG would draw no pixels.
         RendererBase.draw_path_collection(self, *args, **options)
 
     def draw_image(self, gc: Any, x: float, y: float, im: Any, transform: Any = None) -> None:
@@ -118,7 +118,7 @@ class _Both(RendererSVG):
         self._pixels.draw_text(self._on_pixels(gc), *at, s, prop, angle, ismath, mtext)
 
     def _on_pixels(self, gc: Any) -> Any:
-        """Graphics context of a stroke on pixels."""
+        """Copy of a graphics context whose clips are scaled to pixels."""
         own = self._pixels.new_gc()
         own.copy_properties(gc)
         if (rectangle := gc.get_clip_rectangle()) is not None:

@@ -94,7 +94,7 @@ def _overlapping_images(design: Design, scene: Scene) -> list[Fault]:
     apart_px = 2.0 * abs(imaging.image_point_um(0, (0.0, 0.0))[0]) / imaging.pixel_um
     if design.split_angle_deg == 0.0 or scene.field_px[1] < apart_px:
         return []
-    expected = f"fewer columns than the images are apart, {apart_px:.3g} pixels of {imaging.pixel_um:g} um"
+    expected = f"fewer columns than the {apart_px:.3g} pixels of {imaging.pixel_um:g} um between the images"
     remedy = "narrow the field, make `sensor.pixel_um` smaller, or split by a larger angle"
     return [Fault("scene.field_px", expected, f"{scene.field_px[1]} columns", remedy)]
 
@@ -161,8 +161,8 @@ def too_steep(job: Job) -> list[str]:
             period = " x ".join(f"{period_nm:g}" for period_nm in dict.fromkeys(design.unit_cell.cell.period_nm))
             warnings.append(
                 f"{at}the target phase turns by more than half a turn from pillar to pillar (period {period} nm) in "
-                f"{100.0 * share:.3g} % of the aperture: light from there goes another way, that of one turn a "
-                "pillar less; bend it less, or take a shorter period"
+                f"{100.0 * share:.3g} % of the aperture: light from there goes in the direction of "
+                "one turn less for each pillar; bend it less, or take a shorter period"
             )
     return warnings
 

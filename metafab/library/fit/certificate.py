@@ -25,9 +25,9 @@ SLOPE_SCALE_NM = 40.0
 def disagreement_estimate(disagreement: FloatArray, exchange: bool) -> FloatArray:
     """Turn the disagreement of two models, shape (n_length, n_width), into an error estimate of the same shape.
 
-    Two surfaces may cross by chance, so each size takes the largest disagreement of its neighbours. The median is the
-    least estimate, because smooth regions depend on all samples. With ``exchange`` (width and length can be swapped),
-    both images of a size get the larger value.
+    Two surfaces may cross by chance, so each size takes the largest disagreement of its neighbours. No size gets
+    less than the median, because smooth regions depend on all samples. With ``exchange`` (width and length can be
+    swapped), both sizes of a swapped pair get the larger value.
     """
     worst = maximum_filter(disagreement, size=3, mode="nearest")
     worst = np.maximum(worst, np.median(worst))
@@ -103,7 +103,7 @@ def amplitude_slopes(model: RationalModel, width_nm: FloatArray, length_nm: Floa
 
 
 def _nearest(axis_nm: FloatArray, count: int, size_nm: FloatArray) -> IndexArray:
-    """Nearest of ``count`` nodes that divide an axis evenly."""
+    """Index of the nearest of ``count`` nodes at equal distances over an axis."""
     return np.asarray(np.rint((size_nm - axis_nm[0]) / max(axis_nm[-1] - axis_nm[0], _SAME_NM) * (count - 1)), np.intp)
 
 

@@ -206,7 +206,7 @@ def _orders(figures: OrdersFigures, seconds: float) -> str:
     if figures.efficiency_ratio is not None:
         return html.paragraph(escape(f"{figures.sentence}."), "note")
     if figures.sites is None:
-        text = f"The orders of the mask are known by the library alone: {figures.reason}."
+        text = f"The orders of the mask come from the library alone: {figures.reason}."
         return html.paragraph(escape(text), "note")
     head = ["light", "order", "towards x, y", "efficiency", "error", "by the library", ""]
     rows = [
@@ -222,10 +222,11 @@ def _orders(figures: OrdersFigures, seconds: float) -> str:
         for row in figures.orders
     ]
     caption = (
-        f"The pillars of the mask repeat after {figures.sites[0]} x {figures.sites[1]}. Light in each wanted order and "
-        f"in others from 3 % on, far from the rim: mean of {figures.windows} unlike repeats by full wave with periodic "
-        f"boundaries ({seconds:.0f} s). The error is that of the solver, of the repeats that were not solved, "
-        "and of a phase that drifts over a repeat. The library takes each pillar among its like, as the PSFs do."
+        f"The pillars of the mask repeat after {figures.sites[0]} x {figures.sites[1]}. Light in each wanted order, "
+        f"and in any other of at least 3 %, far from the rim: mean of {figures.windows} unlike repeats by full wave "
+        f"with periodic boundaries ({seconds:.0f} s). The error is that of the solver, of the repeats that were not "
+        "solved, and of a phase that drifts over a repeat. The library takes each pillar among equal "
+        "ones, as the PSFs do."
     )
     return html.table(head, rows, ["", "", "n", "n", "n", "n", ""]) + html.paragraph(escape(caption), "caption")
 
@@ -265,7 +266,7 @@ def _patch(patch: Patch, drawn: Drawn) -> str:
         )
     ]
     caption = (
-        f"{patch.x_um.size} x {patch.y_um.size} pillars of the mask about ({patch.x_um.mean():.1f}, "
+        f"{patch.x_um.size} x {patch.y_um.size} pillars of the mask around ({patch.x_um.mean():.1f}, "
         f"{patch.y_um.mean():.1f}) um, {patch.polarisation} polarisation, {patch.pixels_per_period} pixels a period, "
         f"{patch.padding_sites} neighbours on each side. Propagating waves in the plane of the pillar tops."
     )

@@ -67,7 +67,7 @@ def _by_full_wave(orders: OrdersFigures) -> str:
     (x, _, of_x), (y, _, of_y) = orders.wanted("x"), orders.wanted("y")
     text = (
         "of x · of y polarised light in the wanted order, by full wave "
-        f"(each pillar among its like: {100 * of_x:.0f} · {100 * of_y:.0f}\u202f%)"
+        f"(each pillar among equal ones: {100 * of_x:.0f} · {100 * of_y:.0f}\u202f%)"
     )
     return html.headline(f"{100 * x:.0f} · {100 * y:.0f}\u202f%", text)
 

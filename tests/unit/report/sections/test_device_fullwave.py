@@ -44,7 +44,7 @@ def test_the_page_shows_both_fields_and_their_differences(patch: fullwave.Patch,
     fullwave.save_patch(patch, tmp_path / "patch.h5", inputs_sha256="abc")
     text = report.write(tmp_path).read_text(encoding="utf-8")
     assert 'id="fullwave"' in text
-    assert "6 x 4 pillars of the mask about (600.9, -1.5) um, y polarisation" in text
+    assert "6 x 4 pillars of the mask around (600.9, -1.5) um, y polarisation" in text
     drawn = {path.stem for path in (tmp_path / "figures").glob("patch_*.png")}
     assert drawn == {
         "patch_phase_meep", "patch_phase_library", "patch_amplitude_meep", "patch_amplitude_library",
@@ -110,9 +110,9 @@ def test_orders_by_full_wave_stand_first_and_in_a_table(tmp_path: Path) -> None:
     RunSummary(orders=solved, seconds={"orders": 54.0}).save(tmp_path / "summary.json")
     text = report.write(tmp_path).read_text(encoding="utf-8")
     head = text.split('id="fullwave"')[0]
-    assert "79 · 89" in head and "each pillar among its like: 91 · 91" in head
+    assert "79 · 89" in head and "each pillar among equal ones: 91 · 91" in head
     assert "repeat after 13 x 1" in text and "-10.02°, 0.00°" in text and "0.787" in text
     unsure = replace(solved, orders=tuple(replace(row, error=0.12) for row in rows))
     assert unsure.sentence.startswith("78.7 ± 10 % of x, 89.0 ± 10 % of y polarised light")
     RunSummary(orders=OrdersFigures(reason="no repeat")).save(tmp_path / "summary.json")
-    assert "known by the library alone: no repeat" in report.write(tmp_path).read_text(encoding="utf-8")
+    assert "come from the library alone: no repeat" in report.write(tmp_path).read_text(encoding="utf-8")
