@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.cell import CellNumerics, PillarCell, pillar_cell, solve
+from metafab.cell.rcwa import RcwaDetails, zero_order
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.forked import shared
 from metafab.library.library import Library
 
 #: Sizes solved for oblique light, each standing for an equal share of the pillars.
 _OBLIQUE_SAMPLES = 8
-#: Truncation error of both solutions. It is common to both and cancels: 3e-2 and 2e-3 give equal changes within 1 %.
+#: Error of the solution along the axis, whose truncation the one from the side shares: its error is common to both and
+#: cancels. The changes of three draws of sizes were within 0.9 % of those at 8 cosines.
 _SOLVER_ERROR = 3e-2
 #: Sizes solved with both indices; an rms needs fewer than a maximum.
 SAMPLES = 16
@@ -56,14 +58,17 @@ def oblique_field_error(
     angle_deg = math.degrees(math.asin(slope / math.hypot(1.0, slope) / n_in.real))
     azimuth_deg = math.degrees(math.atan2(tangent[1], tangent[0]))
     oblique = [pillar_cell(library.unit_cell, *size, angle_deg=angle_deg, azimuth_deg=azimuth_deg) for size in sizes]
-    # The costly ones first, so that all processes end at about the same time.
-    t = np.array(list(shared(_transmitted, [*oblique, *straight], workers)))
-    return _largest_change(t[len(oblique) :], t[: len(oblique)])
+    t = np.array(list(shared(_transmitted, list(zip(straight, oblique, strict=True)), workers)))
+    return _largest_change(t[:, 0], t[:, 1])
 
 
-def _transmitted(cell: PillarCell) -> ComplexArray:
-    """Zero-order t_xx and t_yy, shape (2,)."""
-    return np.diagonal(solve(cell, CellNumerics(target_error=_SOLVER_ERROR)).t)
+def _transmitted(cells: tuple[PillarCell, PillarCell]) -> ComplexArray:
+    """Zero-order t_xx and t_yy along the axis and from the side, shape (2, 2)."""
+    straight, oblique = cells
+    along_axis = solve(straight, CellNumerics(target_error=_SOLVER_ERROR))
+    assert isinstance(along_axis.details, RcwaDetails)
+    from_side = zero_order(oblique, along_axis.details.orders_x)
+    return np.array([np.diagonal(along_axis.t), np.diagonal(from_side.t)])
 
 
 def _largest_change(before: ComplexArray, after: ComplexArray) -> float:
