@@ -24,8 +24,14 @@ from metafab.decode.matching.depth import PixelDepth, spline_peaks
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.matching.semi_global import cheapest_levels
 from metafab.decode.segmentation.planes import Plane, cell_side
-from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.segments import Regions, grown, segment_depth, with_error_of_straight
+from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
+from metafab.decode.segmentation.segments import (
+    Regions,
+    SegmentDepth,
+    grown,
+    segment_depth,
+    with_error_of_straight,
+)
 
 #: Side of the window over which the null energy is averaged, frame pixels.
 _WINDOW_PX = 13
@@ -35,11 +41,18 @@ _LEAST_MODEL_ERROR = 1e-3
 #: leaves less than 2.5 in 99 of 100 pixels, and sharp edges in photographs a share of less than 0.04 in most.
 _FOREIGN, _FOREIGN_SHARE = 3.0, 0.06
 
+#: Distance from an outline beyond which light that does not fit is not that of the other side, frame pixels.
+_OUTLINE_LIGHT_PX = 20
 #: Distance from a plain object's outline up to which its depth is measured, frame pixels.
 _RIM_PX = 12.0
 #: Ratio of the jackknife's error to that of noise up to which an outline has one depth: it has 0.7 to 2 then, and 4
 #: with a third of it 30 % farther.
 _ONE_OUTLINE = 3.0
+#: Distance from other light up to which that is mixed in, frame pixels.
+_CLEAR_PX = 24.0
+#: Distance from a plain object up to which segments of its outline are grown, frame pixels, and share of a segment
+#: within it from which that is such a one, if it has the object's depth.
+_REACHED_PX, _REACHED_SHARE = WINDOW_PX + _RIM_PX, 0.9
 #: Side of the window of the misfit that surfaces are found by, frame pixels, and its least value: less is chance.
 _SURFACE_WINDOW_PX, _LEAST_MISFIT = 15, 0.2
 #: Levels of vergence of a surface to a candidate depth.
@@ -168,30 +181,87 @@ def misfit_at(
 
 
 def with_plain_objects(regions: Regions, prepared: PreparedFrame, volume: CostVolume) -> Regions:
-    """Add the segments of plain objects, each at the depth of its outline.
+    """Add the segments of plain objects, each at the depth of its outline, in place of those of the outline alone.
 
-    An outline along one straight line, or of which parts are at different depths, gives none.
+    An outline before segments that are not farther may be theirs, and gives none.
     """
     objects, step = prepared.plain_objects, prepared.downsampling.step
-    count = int(objects.max(initial=0))
-    if count == 0:
+    if not objects.any():
         return regions
-    wide = np.where(prepared.lit, objects, grown(objects, _RIM_PX / step))
-    rim = np.where(distance(objects == 0) * step <= _RIM_PX, wide, 0).astype(np.int32)
-    light, depths = prepared.inner.sum(axis=0), list(regions.depths)
-    label, inside, full = regions.label.copy(), regions.interior.copy(), regions.grown.copy()
-    for number, sums in enumerate(volume.label_sums(rim, count), start=1):
-        mask = rim == number
-        pixels = float(mask.sum())
-        depth = with_error_of_straight(segment_depth(volume, sums, pixels), light, mask, volume.samples)
-        error = jackknife_error(volume, mask, sums, step)
-        if depth.error_factor > 1.0 or not error < min(LARGEST_ERROR, _ONE_OUTLINE * depth.relative_error):
+    own, segments, found = np.zeros(objects.shape, dtype=np.int32), regions.grown, list[SegmentDepth]()
+    sizes = np.bincount(segments.ravel(), minlength=len(regions.depths) + 1)
+    vergences = np.array([np.inf, *(depth.vergence_per_m for depth in regions.depths)])
+    of_outline = np.zeros(sizes.shape, dtype=bool)
+    for number in range(1, int(objects.max()) + 1):
+        mask = objects == number
+        beyond_px = distance(mask) * step
+        depth, in_the_dark = outline_depth(prepared, volume, mask, beyond_px)
+        if depth is None:
             continue
-        error = max(error, depth.relative_error)
-        depths.append(replace(depth, relative_error=error, pixels=pixels, of_outline=True))
-        for picture in (label, inside, full):
-            picture[objects == number] = len(depths)
-    return replace(regions, depths=tuple(depths), label=label, interior=inside, grown=full)
+        reached = np.bincount(segments[beyond_px <= _REACHED_PX], minlength=sizes.size)
+        same = ~differs(vergences, np.array(depth.vergence_per_m))
+        rings = same & (reached > _REACHED_SHARE * sizes)
+        around = segments[~mask & (beyond_px <= _CLEAR_PX)]
+        around = around[(around > 0) & ~rings[around]]
+        farther = ~same[around] & (vergences[around] < depth.vergence_per_m)
+        if not in_the_dark and 2 * farther.sum() < farther.size:
+            continue
+        found.append(depth)
+        own[mask] = len(found)
+        of_outline |= rings
+    of_outline |= np.bincount(segments[own == 0], minlength=sizes.size) == 0
+    of_outline[0] = False
+    renumbered = np.where(of_outline, 0, np.cumsum(~of_outline) - 1)
+    depths = [depth for depth, left_out in zip(regions.depths, of_outline[1:].tolist(), strict=True) if not left_out]
+
+    def painted(segment: NDArray[np.int32]) -> NDArray[np.int32]:
+        return np.where(own > 0, len(depths) + own, renumbered[segment]).astype(np.int32)
+
+    others = np.where(own > 0, 0, renumbered[segments]).astype(np.int32)
+    lost = of_outline[segments] & (own == 0)
+    wide = np.where(lost, grown(others, _REACHED_PX / step), painted(segments))
+    pictures = painted(regions.label), painted(regions.interior), wide
+    return replace(regions, depths=(*depths, *found), label=pictures[0], interior=pictures[1], grown=pictures[2])
+
+
+def outline_depth(
+    prepared: PreparedFrame, volume: CostVolume, mask: NDArray[np.bool_], beyond_px: NDArray[np.float32]
+) -> tuple[SegmentDepth | None, bool]:
+    """Depth of the outline of a plain object, and whether it was measured next to darkness.
+
+    None if the outline lies along one straight line, has parts at different depths, or mixes with other light.
+
+    Args:
+        prepared: the frame.
+        volume: cost volume.
+        mask: shape (n_y, n_x), pixels of the object.
+        beyond_px: shape (n_y, n_x), distance from them, frame pixels.
+    """
+    step = prepared.downsampling.step
+    inner = mask & (distance(~mask) * step <= _RIM_PX)
+    # Darkness has no depth of its own: next to it, both sides show the outline.
+    both = inner | (~mask & (beyond_px <= _RIM_PX))
+    dark = both & (distance(prepared.lit & (beyond_px > _RIM_PX)) * step > _CLEAR_PX)
+    in_the_dark = bool(2 * dark.sum() > both.sum())
+    rim = dark if in_the_dark else inner
+    pixels, sums = float(rim.sum()), volume.label_sums(rim.astype(np.int32), 1)[0]
+    depth = segment_depth(volume, sums, pixels)
+    depth = with_error_of_straight(depth, prepared.inner.sum(axis=0), rim, volume.samples)
+    error = jackknife_error(volume, rim, sums, step)
+    if depth.error_factor > 1.0 or not error < min(LARGEST_ERROR, _ONE_OUTLINE * depth.relative_error):
+        return None, in_the_dark
+    if is_mixed(prepared, volume, rim, depth.vergence_per_m):
+        return None, in_the_dark
+    error = max(error, depth.relative_error)
+    return replace(depth, relative_error=error, pixels=pixels, of_outline=True), in_the_dark
+
+
+def is_mixed(prepared: PreparedFrame, volume: CostVolume, mask: NDArray[np.bool_], vergence_per_m: float) -> bool:
+    """Whether the pixels of a mask, shape (n_y, n_x), hold light of another depth, by their mean products."""
+    products = volume.at(np.array([vergence_per_m]))[:, 0][:, mask].mean(axis=1)
+    x, y = volume.noise_gain * prepared.variance[:, mask].mean(axis=1)
+    energies = TwinEnergies((products / np.array([np.sqrt(x * y), x, y])).astype(np.float32))
+    return bool(energies.over_noise() > _FOREIGN and energies.null_energy > _FOREIGN_SHARE * energies.energy)
 
 
 def jackknife_error(volume: CostVolume, mask: NDArray[np.bool_], sums: FloatArray, step: int) -> float:
@@ -273,6 +343,25 @@ def connected_moves(label: NDArray[np.int32], moved: NDArray[np.int32]) -> NDArr
         touched[component[own]] = True
         kept[touched[component] & (moved == number)] = number
     return kept
+
+
+def foreign_light(regions: Regions, misfit: Misfit, step: int) -> NDArray[np.bool_]:
+    """Pixels of wide segments, away from the outlines between them, that hold light of another depth.
+
+    Args:
+        regions: segments.
+        misfit: of each pixel at its segment's depth.
+        step: frame pixels from one downsampled pixel to the next.
+
+    Returns:
+        Shape (n_y, n_x).
+    """
+    label = regions.grown
+    widest = np.zeros(len(regions.depths) + 1, dtype=np.float32)
+    np.maximum.at(widest, label.ravel(), across_outlines(label)[1].ravel())
+    wide = np.where((widest[label] * step >= 0.5 * WINDOW_PX) & ~regions.of_outline[label], label, 0).astype(np.int32)
+    _, away = across_outlines(wide)
+    return misfit.is_foreign & (wide > 0) & (away * step > _OUTLINE_LIGHT_PX)
 
 
 def across_outlines(

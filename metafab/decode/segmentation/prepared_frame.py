@@ -7,12 +7,12 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import binary_fill_holes, maximum_filter
 from scipy.ndimage import label as connected_components
-from scipy.ndimage import maximum_filter
 
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.distance import distance
+from metafab.core.numeric.distance import distance, nearest
 from metafab.decode.matching.levels import Levels
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.registration.downsampling import Downsampling, blocks_with, enlarged
@@ -27,6 +27,12 @@ _FAINT = 0.01
 _BLUR_PX = 12
 #: Least share of a plain object's pixels away from its outline that are plain.
 _PLAIN_SHARE = 0.99
+#: Largest ratio of distances of a plain object's outline from its core (quantiles 0.95 and 0.05): rectangles have up to
+#: 1.6, pixels of a textured surface behind that happen to be as bright 2.
+_OUTLINE_RATIO = 1.7
+#: Median change of the light across a plain object's outline over its scatter along it (1.48 times the median
+#: deviation): less may be texture beyond it. Last: most smooth cores that are looked at.
+_ONE_STEP, _MOST_PLAIN = 3.0, 16
 #: Sum of both images, in standard deviations of the read noise, up to which a pixel is dark.
 _DARK_DEVIATIONS = 6.0
 #: Share of a surface's light at which its outline stands, next to the dark.
@@ -132,6 +138,11 @@ class PreparedFrame:
         return round(WINDOW_PX / self.downsampling.step) | 1
 
     @property
+    def outline_reach(self) -> float:
+        """Distance from an outline up to which windows contain its blur, downsampled pixels."""
+        return self.window // 2 + _BLUR_PX / self.downsampling.step
+
+    @property
     def dark_e(self) -> float:
         """Sum of both images below which a pixel shows no light beyond noise, electrons."""
         return _DARK_DEVIATIONS * self.levels.read_noise_e
@@ -212,26 +223,46 @@ class PreparedFrame:
 
     @cached_property
     def plain_objects(self) -> NDArray[np.int32]:
-        """Number from 1 of each plain surface in the dark, 0 elsewhere: shape (n_y, n_x).
+        """Number from 1 of each plain surface in the dark or shown whole: shape (n_y, n_x), 0 elsewhere.
 
-        Its pixels are connected, lie about one smooth core, and are plain but for those along the outline.
+        Its pixels are connected, lie about one smooth core, and are plain but for those along the outline. Their light
+        is nearer to that of the core than to that beyond the outline.
         """
         objects, count = np.zeros(self.lit.shape, dtype=np.int32), 0
-        if not self._smooth_cores.any():
-            return objects
-        component, _ = connected_components(self.lit)
-        cores, n_cores = connected_components(self._smooth_cores)
-        holder = np.zeros(n_cores + 1, dtype=np.int32)
-        holder[cores] = component
-        numbers, held = np.unique(holder[1:], return_counts=True)
-        deep = distance(~self.lit) > self.window // 2 + _BLUR_PX / self.downsampling.step
-        for number in numbers[held == 1].tolist():
-            mask = component == number
-            inner = self.plain[mask & deep]
-            if inner.size and inner.mean() >= _PLAIN_SHARE:
+        cores, _ = connected_components(self._smooth_cores)
+        largest = 1 + np.argsort(-np.bincount(cores.ravel())[1:])[:_MOST_PLAIN]
+        for number in largest.tolist():
+            mask = self._about(cores == number)
+            if mask.any():
                 count += 1
                 objects[mask] = count
         return objects
+
+    def _about(self, core: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Pixels of the plain object about a smooth core, none if there is no such object: shapes (n_y, n_x)."""
+        away, none, reach = distance(core), np.zeros_like(core), self.outline_reach
+        outside = (away > 3.0 * reach) | (self._smooth_cores & ~core)
+        if not outside.any():
+            return none
+        _, row, column = nearest(outside)
+        level, beyond = self.inner[:, core].mean(axis=1)[:, None, None], self.mean[:, row, column]
+        like = ((self.inner - level) ** 2).sum(axis=0) < ((self.inner - beyond) ** 2).sum(axis=0)
+        component, _ = connected_components(core | (like & self.lit & (away <= 3.0 * reach)))
+        mask = binary_fill_holes(component == component[core][0])
+        within = distance(~mask)
+        inner, outline = self.plain[mask & (within > reach)], mask & (within <= 1.0)
+        if not inner.size or inner.mean() < _PLAIN_SHARE or (mask & self._smooth_cores & ~core).any():
+            return none
+        nearest_to_core, farthest = np.quantile(away[outline], [0.05, 0.95])
+        change = (level - beyond).sum(axis=0)[outline]
+        middle = np.median(change)
+        if farthest > _OUTLINE_RATIO * nearest_to_core or abs(middle) < _ONE_STEP * 1.48 * np.median(
+            np.abs(change - middle)
+        ):
+            return none
+        border = mask[[0, -1]].any() or mask[:, [0, -1]].any()
+        touches_light = bool((self.lit & ~mask & (distance(mask) <= 2.0)).any())
+        return none if border and touches_light else mask
 
     @cached_property
     def _smooth_cores(self) -> NDArray[np.bool_]:

@@ -23,6 +23,7 @@ from metafab.decode.segmentation.fit import (
     across_outlines,
     curved_surface,
     fitting_segments,
+    foreign_light,
     log_misfit,
     misfit_at,
     plane_misfit,
@@ -87,8 +88,6 @@ _BRIGHTER, _MOST_DIM = 2.0, 4
 _MOVED, _TILTED = 1, 3
 #: Distance from an outline up to which a window, with the pair's main lobes, contains it; frame pixels.
 _OUTLINE_REACH_PX = 40
-#: Distance from an outline beyond which light that does not fit is not that of the other side, frame pixels.
-_OUTLINE_LIGHT_PX = 20
 #: Pixels below which a segment may be the outline of a plain surface: twice a window.
 _NARROW_PX = 2 * WINDOW_PX**2
 #: Number of layers from which they may be stripes of a tilted surface.
@@ -126,9 +125,10 @@ def near_texture(prepared: PreparedFrame) -> NDArray[np.bool_]:
 
     At the outline of a uniform object, the texture of the background would be mixed in.
     """
-    reach = _OUTLINE_REACH_PX // prepared.downsampling.step
-    textured = textured_components(prepared.lit, prepared.textured, reach)
-    textured &= prepared.plain_objects == 0
+    reach, texture, objects = _OUTLINE_REACH_PX // prepared.downsampling.step, prepared.textured, prepared.plain_objects
+    if objects.any():
+        texture = texture & (distance(objects > 0) > prepared.outline_reach)
+    textured = textured_components(prepared.lit, texture, reach) & (objects == 0)
     return np.asarray((distance(textured) <= prepared.window // 2) & ~prepared.plain)
 
 
@@ -175,6 +175,8 @@ def find_regions(
         return misfit_at(prepared, volume, regions.vergence_per_m(number), regions.interior, model_error)
 
     def at_segment(number: int) -> Misfit:
+        if regions.of_outline[number]:  # the blur of a plain object's outline fits its depth beyond it
+            return own
         return misfit_of(np.full(label.shape, number, dtype=np.int32), own.model_error)
 
     own, moving = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool)
@@ -213,27 +215,10 @@ def find_regions(
         label = regions.grown
     across, away = across_outlines(label, regions.vergence_per_m(label))
     other = misfit_of(across, own.model_error) if across.any() else own
+    # Outlines of plain objects are judged as a whole.
+    misfit_here = np.where(regions.of_outline[label], np.float32(1.0), misfit_here)
     right = right_segment(misfit_here, other.over_noise, away * step)
     return replace(regions, right=np.where(unexplained & (other.is_foreign | (across == 0)), 0.0, right))
-
-
-def foreign_light(regions: Regions, misfit: Misfit, step: int) -> NDArray[np.bool_]:
-    """Pixels of wide segments, away from the outlines between them, that hold light of another depth.
-
-    Args:
-        regions: segments.
-        misfit: of each pixel at its segment's depth.
-        step: frame pixels from one downsampled pixel to the next.
-
-    Returns:
-        Shape (n_y, n_x).
-    """
-    label = regions.grown
-    widest = np.zeros(len(regions.depths) + 1, dtype=np.float32)
-    np.maximum.at(widest, label.ravel(), across_outlines(label)[1].ravel())
-    wide = np.where(widest[label] * step >= 0.5 * WINDOW_PX, label, 0).astype(np.int32)
-    _, away = across_outlines(wide)
-    return misfit.is_foreign & (wide > 0) & (away * step > _OUTLINE_LIGHT_PX)
 
 
 def with_small_objects(regions: Regions, found: Sequence[SmallObject], volume: CostVolume) -> Regions:

@@ -72,6 +72,11 @@ class Regions:
     right: FloatArray | None = None
     continuous: bool = False  #: Whether segments are pieces of surfaces, which no model of few layers explains.
 
+    @property
+    def of_outline(self) -> NDArray[np.bool_]:
+        """Whether each segment is a plain surface at the depth of its outline, by number: shape (n_segments + 1,)."""
+        return np.array([False, *(depth.of_outline for depth in self.depths)])
+
     def within(self, rows: slice, columns: slice) -> Regions:
         """The segments in a part of the window, with the same numbers."""
         depths = tuple(replace(one, plane=one.plane.moved(-rows.start, -columns.start)) for one in self.depths)
@@ -81,7 +86,11 @@ class Regions:
         return Regions(self.layers, depths, *part_of, right, self.continuous)
 
     def with_owners(self, owner: NDArray[np.int32]) -> Regions:
-        """The depths of before with new outlines: ``owner`` is each pixel's segment or none, shape (n_y, n_x)."""
+        """The depths of before with new outlines: ``owner`` is each pixel's segment or none, shape (n_y, n_x).
+
+        Plain objects keep the outline of their light.
+        """
+        owner = np.where(self.of_outline[owner] | self.of_outline[self.grown], self.grown, owner)
         grown_label = np.where(self.grown > 0, owner, 0).astype(np.int32)
         kept = (self.label > 0) | (grown_label != self.grown)
         return replace(

@@ -150,11 +150,28 @@ def test_a_plain_object_in_the_dark_has_the_depth_of_its_outline(
     image = decode(frame, psf)
     assert frame.truth is not None
     errors = image.depth_m[frame.truth.label == 1] / plain.depth_m - 1.0
-    assert np.isfinite(errors).mean() > 0.98
+    # The outline stands at half the light, which a pair of two lobes moves by up to half a downsampled pixel.
+    assert np.isfinite(errors).mean() > 0.95
     (segment,) = image.segments
     # Over 12 draws of noise 0.04 % of a disc, 0.08 % of a square, of which 0.08 % are the calibration's.
     assert np.nanmax(np.abs(errors)) < 2e-3
     assert 0.0 < segment.error_m < 1e-3 * plain.depth_m
+
+
+@pytest.mark.parametrize(("texture", "brightness"), [("uniform", 0.4), ("fractal", 0.25)])
+def test_a_plain_object_before_a_wall_has_the_depth_of_its_outline_and_gives_it_to_nothing_else(
+    psf: Psf, texture: Literal["uniform", "fractal"], brightness: float
+) -> None:
+    wall = SceneObject(depth_m=0.0034, size=(0.6, 0.6), texture=texture, brightness=brightness)
+    disc = SceneObject(depth_m=0.0027, size=(0.18, 0.18), texture="uniform", outline="ellipse")
+    frame = capture(Scene(objects=(wall, disc), seed=7, field_px=(200, 150)), psf)
+    image = decode(frame, psf)
+    assert frame.truth is not None
+    errors = image.depth_m / frame.truth.depth_m - 1.0
+    on_disc, on_wall = errors[frame.truth.label == 2], errors[frame.truth.label == 1]
+    assert np.isfinite(on_disc).mean() > 0.95
+    assert abs(float(np.nanmedian(on_disc))) < 6e-3
+    assert float((np.abs(on_wall) > 0.05).mean()) < 0.03
 
 
 def test_a_plain_object_whose_outline_has_several_depths_has_none(psf: Psf) -> None:
