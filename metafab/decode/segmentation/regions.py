@@ -158,8 +158,8 @@ def find_regions(
             correlation puts them.
         filters: matched filters, for the depth of segments much dimmer than others; without, it is not measured again.
     """
-    regions = _find_regions(prepared, volume, pixels, known, outline_rounds, refined=refined)
-    regions = with_plain_objects(regions, prepared, volume)
+    segments = _find_regions(prepared, volume, pixels, known, outline_rounds, refined=refined)
+    regions = with_plain_objects(segments, prepared, volume)
     if not (regions.depths and refined):
         return regions
     step = prepared.downsampling.step
@@ -175,9 +175,9 @@ def find_regions(
         return misfit_at(prepared, volume, regions.vergence_per_m(number), regions.interior, model_error)
 
     def at_segment(number: int) -> Misfit:
-        if regions.of_outline[number]:  # the blur of a plain object's outline fits its depth beyond it
-            return own
-        return misfit_of(np.full(label.shape, number, dtype=np.int32), own.model_error)
+        # The blur of a plain object's outline fits its depth beyond it.
+        same = np.full(label.shape, number, dtype=np.int32)
+        return own if regions.of_outline[number] else misfit_of(same, own.model_error)
 
     own, moving = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool)
     for _ in range(robust_rounds):
@@ -200,9 +200,8 @@ def find_regions(
         owner, own = fitting_segments(label, prepared.spoiled, own, at_segment, reach, judge)
         regions = regions.with_owners(owner)
         label = regions.grown
-    misfit_here, unexplained = own.over_noise, np.zeros(label.shape, dtype=bool)
-    if optics is not None:
-        unexplained = foreign_light(regions, own, step) & ~prepared.spoiled
+    none, misfit_here = np.zeros(label.shape, dtype=bool), own.over_noise
+    unexplained = none if optics is None else foreign_light(regions, own, step) & ~prepared.spoiled
     if optics is not None and unexplained.any():
         vergence = regions.vergence_per_m(label)
         searched = not regions.continuous
