@@ -164,9 +164,12 @@ def find_regions(
         return regions
     step = prepared.downsampling.step
     if optics is not None and not regions.continuous:
-        narrow = [number for number, depth in enumerate(regions.depths, 1) if depth.pixels * step**2 < _NARROW_PX]
-        false = false_pieces(prepared, regions.depths, regions.grown, regions.interior, optics, narrow)
-        regions = regions.without(false)
+        # A plain surface has no segment that could explain the light of a piece beside it.
+        plain = set(regions.grown[distance(prepared.plain) <= 2.0].tolist())
+        narrow = [n for n, one in enumerate(regions.depths, 1) if one.pixels * step**2 < _NARROW_PX and n not in plain]
+        regions = regions.without(
+            false_pieces(prepared, regions.depths, regions.grown, regions.interior, optics, narrow)
+        )
         owner = outline_owners(prepared, regions.depths, regions.grown, regions.interior, optics)
         regions = regions if owner is None else regions.with_owners(owner)
     label = regions.grown
