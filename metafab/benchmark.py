@@ -80,11 +80,11 @@ class BenchmarkRow:
     series: str | None = None  #: Line to which the case belongs in plots.
     bound: float | None = None  #: Smallest possible error.
     photons: float | None = None  #: Mean signal of a pixel, electrons.
-    weakness: str | None = None  #: Weakness that a case of the scenes measures.
-    measured: float | None = None  #: Its figure, mean over seeds.
+    weakness: str | None = None  #: Weakness of the decoder that a case of the scenes measures.
+    measured: float | None = None  #: Figure of that weakness, mean over seeds.
     goal: float | None = None  #: Goal of that figure.
     at_least: bool | None = None  #: Whether the figure must be at least the goal, and not at most.
-    met: bool | None = None  #: Whether it is.
+    met: bool | None = None  #: Whether the goal is met.
     view: DepthView | None = None  #: Maps of the case's first frame.
     further: Mapping[str, Any] = field(default_factory=dict)  #: Other columns of the table, by name.
 

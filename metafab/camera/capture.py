@@ -42,7 +42,7 @@ class FixedPattern:
 
 
 def expose(mean_e: FloatArray, scene: Scene, pattern: FixedPattern, rng: np.random.Generator) -> FloatArray:
-    """Expose one frame: electrons, from the mean electrons in each pixel of mean response, shape (n_y, n_x) each.
+    """Expose one frame: electrons of each pixel, from their mean if all pixels had mean response; shape (n_y, n_x).
 
     Poisson arrivals with the dark current, minus its known mean, plus Gaussian read noise; at most ``full_well_e``, and
     in steps of a count where ``bit_depth`` is given.
@@ -69,9 +69,9 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
     Each depth is blurred by its own pair, which varies over the field where ``psf.field`` is present. A point sends to
     the aperture the share of its light that nearer surfaces let through, by the geometry of each ray
     (:mod:`metafab.camera.rendering.occlusion`), in the shape of its whole PSF. A partly hidden aperture has another
-    PSF. The mean light at outlines is corrected by the law that radiance does not change along a ray; the rest is the
-    camera's error there (``tests/physics/camera/test_occlusion.py``). Surfaces of equal depth touch without a seam. A
-    pair without ``aperture_um`` is treated as a pinhole.
+    PSF in truth: at outlines the mean light is corrected, because radiance does not change along a ray, but not the
+    shape (errors: ``tests/physics/camera/test_occlusion.py``). Surfaces of equal depth touch without a seam. A pair
+    without ``aperture_um`` is treated as a pinhole.
 
     Behind a birefringent substrate (``psf.ghost``), each image also holds light of the other polarisation: of a scene
     whose x and y polarised light are uncorrelated.

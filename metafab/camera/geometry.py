@@ -20,7 +20,7 @@ from metafab.optics.point_spread import Psf
 _NEWTON_STEPS = 4
 #: Share of the calibrated field by which directions may lie outside of it on either side.
 _BEYOND = 0.05
-#: Places of a loop.
+#: Places that are evaluated together: a row of them stays in the cache.
 _PLACES = 1024
 
 
@@ -115,7 +115,7 @@ class ImageMap:
 def _evaluate(coefficients: FloatArray, u: FloatArray, v: FloatArray, out: FloatArray) -> None:
     """Two polynomials by Horner's rule, shape (2, n), from powers of v and of u: coefficients (2, n_v, n_u).
 
-    The loops over places are innermost, for vectors, and short, for the cache.
+    The loops over places are innermost, for vector instructions, and short, for the cache.
     """
     row = np.empty(_PLACES)
     for start in range(0, u.size, _PLACES):

@@ -37,7 +37,7 @@ class StokesFrame:
 def kernels_at(psf: StokesPsf, depth_m: float) -> FloatArray:
     """Return the blur kernels of one depth, shape (6, 4, n, n), integrated over the pixel.
 
-    They are scaled so that the six kernels of unpolarised light at the middle depth have the mean sum 1.
+    They are scaled so that for unpolarised light at the middle depth the sums of the six kernels have the mean 1.
     """
     weights = spline_weights(1.0 / psf.depth_m, 1.0 / depth_m)
     sampled = np.einsum("kjdyx,d->kjyx", psf.psf, weights)
@@ -49,10 +49,10 @@ def kernels_at(psf: StokesPsf, depth_m: float) -> FloatArray:
 def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> StokesFrame:
     """Expose one frame: Eq. 1 of Shen 2023 for four Stokes parameters and six images; near objects hide far ones.
 
-    Every direction has the PSFs of the axis (``field_px`` should be small), without vignetting; the scene stands as at
-    its beginning. ``photons_per_pixel`` is the mean of the six images for an unpolarised surface of brightness 1. The
-    field stop passes ``field_px`` pixels and nothing of the margin around them. The seed of textures and noise is that
-    of the scene by default.
+    Every direction has the PSFs of the axis (``field_px`` should be small), without vignetting; objects stand
+    where they begin. ``photons_per_pixel`` is the mean of the six images for an unpolarised surface of brightness 1.
+    The field stop passes ``field_px`` pixels and nothing of the margin around them. The seed of textures and noise is
+    that of the scene by default.
     """
     require_objects(scene)
     seed = scene.seed if seed is None else seed
@@ -83,7 +83,8 @@ def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> Stok
         covers = mask.coverage * stop[crop] >= 0.5
         depth_m[crop] = np.where(covers, piece.mean_depth_m, depth_m[crop])
         label[crop] = np.where(covers, piece.label, label[crop])
-    # The background has no structure, so that it is not blurred, and is unpolarised; it hides as at the last depth.
+    # The background is unpolarised and has no structure: it is not blurred. It is hidden like a surface at the farthest
+    # depth.
     whole = (slice(0, n_y), slice(0, n_x))
     sky = Occluder(*whole, np.ones((n_y, n_x)), np.full((n_y, n_x), 1.0 / psf.depth_m[-1]))
     gain = kernels_at(psf, float(psf.depth_m[psf.depth_m.size // 2]))[:, 0].sum(axis=(-2, -1))

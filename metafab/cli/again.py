@@ -1,4 +1,4 @@
-"""``metafab run`` where nothing has changed: the answer of the run before, without the imports of the program."""
+"""``metafab run`` where nothing has changed: the previous run's answer again, without the imports of the program."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from metafab.core.storage.rerun import code_mark, find_rerun
 def answer_again(arguments: Sequence[str]) -> int | None:
     """Print the answer of an unchanged run and return its exit code; None if the program has to run.
 
-    Known are ``run DESIGN.toml`` with ``-o DIR`` and ``--json``; other arguments are left to the program.
+    It understands ``run DESIGN.toml`` with ``-o DIR`` and ``--json``; other arguments are left to the program.
     """
     if not arguments or arguments[0] != "run":
         return None

@@ -104,7 +104,7 @@ def _show_version(wanted: bool) -> None:
 
 
 def _state_limits(ctx: typer.Context, values: list[str]) -> list[str]:
-    """State the limits of ``--limit`` for as long as the command runs."""
+    """Apply the limits of ``--limit`` for as long as the command runs."""
     if not values:
         return values
     from metafab.spec.design import Limits
@@ -140,7 +140,7 @@ def program_options(
     ] = [],  # noqa: B006 (typer copies it)
 ) -> None:
     """Options of all commands."""
-    del version, limit  # their callbacks have answered
+    del version, limit  # their callbacks have run
     if debug:
         os.environ[DEBUG_VARIABLE] = "1"
 

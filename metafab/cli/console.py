@@ -64,7 +64,7 @@ def open_work(workers: int | None = None, cluster: str | None = None) -> Iterato
 def pace(progress: Progress, known: Container[str]) -> Progress:
     """Announce the time of each step's first units once, and that of the rest for the ``known`` steps.
 
-    The others find their number of units as they go.
+    The other steps learn their number of units as they go.
     """
     began: dict[str, tuple[float, float]] = {}
     announced: set[str] = set()

@@ -34,13 +34,16 @@ from metafab.spec.terms import DoubleHelix, Grating, Lens, PhaseTerm, SplitLens
 
 KIND = "metafab comparison"
 FORMAT = 1
+#: Number of compared depths.
 _DEPTHS = 7
+#: Number of candidate depths of each estimate, over the calibration.
 _CANDIDATES = 61
+#: Side of the photographed window, pixels.
 _SIDE_PX = 96
 #: Terms that bring the light to the sensor; all others shape the PSF.
 _CARRIERS = (SplitLens, Lens, Grating)
-#: Distance of the focus before the nearest depth for the lens of depth from defocus, as a share of the range of
-#: vergence. Near focus the PSF of a lens does not change with depth, and it is alike on both sides of focus.
+#: Vergence by which the lens of depth from defocus is focused nearer than the nearest depth, as a share of the compared
+#: range of vergence. Near focus the PSF of a lens does not change with depth, and it is alike on both sides of focus.
 _BEFORE = 0.25
 #: Margin of the calibration beyond the compared depths, as a share of their range of vergence.
 _MARGIN = 0.15
@@ -56,7 +59,7 @@ class Rival:
 
 
 def rivals(design: Design, depth_m: FloatArray, *, progress: Progress = silent) -> tuple[Rival, ...]:
-    """Return the design's target phases, a lens in focus, a lens focused nearer (depth from defocus), a double helix.
+    """Return four cameras: this design, a lens in focus, a lens focused nearer (depth from defocus), a double helix.
 
     All split the polarisations alike, so that sensor, aperture and light are equal. The compared depths, shape (n,),
     ascend. A design without a split lens, or of nothing but a lens, raises InputError.
@@ -105,7 +108,7 @@ class Comparison:
     electrons: float  #: Mean of a pixel of either image.
     read_noise_e: float  #: Standard deviation of the read noise, electrons.
     contrast: float  #: Rms over mean of the texture.
-    planes: int  #: Photographs a depth.
+    planes: int  #: Number of photographs at each depth.
     methods: tuple[str, ...]  #: Names of camera and estimate.
     error: FloatArray  #: Shape (n_methods, n_depth), rms of (estimated depth - depth) / depth.
     bound: FloatArray  #: Shape (n_methods, n_depth), Cramer-Rao bound over depth for a texture of known spectrum.
@@ -210,7 +213,7 @@ class ComparisonFigures:
     depth_error: dict[str, float]  #: Rms relative error over all depths, by method.
     depth_bound: dict[str, float]  #: Rms of the bounds, by method.
     restored_error: dict[str, RestorationRange]  #: Relative rms error of the best restoration, by camera.
-    planes: int  #: Photographs a depth.
+    planes: int  #: Number of photographs at each depth.
     side_px: int  #: Side of the window behind each estimate.
     electrons: float  #: Mean of a pixel of either image.
 

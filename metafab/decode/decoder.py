@@ -34,8 +34,8 @@ from metafab.decode.segmentation.regions import find_regions, textured_pixel_dep
 from metafab.decode.segmentation.segments import Regions
 from metafab.optics.point_spread import Psf
 
-#: Candidate depths. The peak of the correlation lies between them: that of a spline through them for segments, that of
-#: a parabola for pixels, where noise exceeds the error of the parabola.
+#: Number of candidate depths. The peak of the correlation is interpolated between them: by a spline for segments, by a
+#: parabola for pixels, where noise exceeds the error of the parabola.
 _CANDIDATES = 13
 #: Margin around the decoded window from which blur comes in, pixels.
 MARGIN_PX = 36
@@ -52,8 +52,8 @@ class DecoderNumerics:
     #: Whether to separate layers by noise, leave outliers out of segments' depths, and compute the probability that a
     #: pixel is in the right segment; without, decoding is faster.
     refined: bool = True
-    #: Whether a model of the frame with occlusion refines outlines of segments, and small objects are searched, if
-    #: ``refined``.
+    #: Whether, if ``refined``, a model of the frame with occlusion refines outlines of segments, and small objects are
+    #: searched.
     modelled: bool = True
     kept_bytes: int = KEPT_BYTES  #: Most memory of the transfer functions that are kept for the next frame.
     #: Pixels from one compared pixel to the next; None for the largest step that keeps the information about depth
@@ -220,7 +220,7 @@ class Decoder:
         label, vergences = focus_depths(prepared, regions, volume.vergences_per_m)
         depths = repeated(label, step, shape), vergences
         sharp = self.deconvolver(tiles.result(), prepared.levels, *depths, prepared.twins.broken)
-        # Images stay: deconvolved again at the depths of moved outlines, they would be 0.3 dB worse.
+        # Moved outlines leave the sharp images: deconvolved again at the new depths, they would be 0.3 dB worse.
         lit = lit_pixels(prepared, sharp)
         regions = moved_outlines(regions, sharp, step, lit)
         maps = PixelMaps.of(prepared, pixels, regions, sharp, lit)

@@ -31,7 +31,7 @@ _log = logging.getLogger(__name__)
 
 Dose = Literal["counted", "out of reach", "first exposure", "not the design's"]
 
-#: Height of the strips of inclined sides (nm).
+#: Height of the strips into which shapes with inclined sides are cut (nm).
 _STRIP_NM = 50.0
 
 
@@ -131,7 +131,7 @@ def _require_equal(back: ReadBack) -> None:
 def _beside(
     design: Design, back: ReadBack, copy: int, others: Mapping[int, PillarMap], range_nm: float
 ) -> tuple[Beside | None, tuple[ShapesBeside, ...]]:
-    """What is exposed in reach of one lens of a mask, None for nothing, and a list of all beside the lens that is read.
+    """Shapes exposed in reach of one lens of a mask (None without any), and the list of all beside the lens read.
 
     ``others`` are the lenses in reach of it.
     """

@@ -35,7 +35,7 @@ _DOSE_BOUNDS = (0.2, 5.0)
 class LensDoses:
     """A lens and the doses of its pillars; other lenses have the same doses until :meth:`at` states theirs."""
 
-    process: Printing  #: Its drawn pattern among everything else.
+    process: Printing  #: Printing of its drawn pattern among all other shapes.
     number: int  #: Number of the lens on the wafer, by which others refer to it.
     dose: Float32Array  #: Shape (n_y, n_x), relative to the base dose, without that of the lens.
 
@@ -45,7 +45,7 @@ class LensDoses:
         return None if self.process.resist.beside is None else self.number
 
     def at(self, lens_dose: float, lenses: Sequence[LensDoses]) -> LensDoses:
-        """The lens with its own dose in those of its pillars, and the lenses beside it at those of ``lenses``."""
+        """The lens with ``lens_dose`` multiplied into its doses, and the doses of ``lenses`` in those beside it."""
         dose, beside = self.dose if lens_dose == 1.0 else self.dose * np.float32(lens_dose), self.process.resist.beside
         if beside is not None:
             beside = beside.with_doses({lens.number: lens.dose for lens in lenses}, lens_dose)

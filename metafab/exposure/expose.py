@@ -85,7 +85,7 @@ class SampledPillar:
 
 @dataclass(frozen=True)
 class Walls:
-    """Walls of the resist by its contrast, over a sample of the pillars; other sizes are those at half the height."""
+    """Walls of the resist by its contrast, over a sample of the pillars; all other figures hold at half the height."""
 
     foot_bias_nm: float  #: Mean of printed less wanted size where the height vanishes.
     top_bias_nm: float  #: Mean of printed less wanted size where the height is whole.
@@ -199,8 +199,8 @@ def expose_lenses(
     """Expose lenses of a wafer and predict the printed sizes.
 
     Args:
-        lenses: lenses of equal pillars, each exposed together with the others. A further lens in their reach has, site
-            by site, the same doses. Lenses with nothing in reach share one result object.
+        lenses: lenses of equal pillars, each exposed together with the others. Lenses in their reach that are not
+            listed have the same doses, site by site. Lenses with nothing in reach share one result object.
         psf: point-spread function of the beam.
         outline: outline of the drawn pillars, any but a cross or a ring.
         base_over_clearing_dose: base dose over the clearing dose of a large pad; None for the dose at which printed
@@ -257,8 +257,8 @@ def expose_lenses(
                 figures = replace(figures, continuous_rms_nm=sums.rms_nm, continuous_max_nm=sums.largest_nm)
             found[key] = replace(result, figures=figures, dose_class=of_site[number], class_dose=class_dose)
     if correction != "none":
-        most = min((one.figures for one in found.values()), key=lambda figures: figures.unprinted)
-        most.require_printed("exposure", "base_over_clearing_dose")
+        best = min((one.figures for one in found.values()), key=lambda figures: figures.unprinted)
+        best.require_printed("exposure", "base_over_clearing_dose")
     return tuple(found[one.surroundings, lens.dose] for lens, one in zip(lenses, dosed, strict=True))
 
 
@@ -329,7 +329,7 @@ def _resist_of(pillars: PillarMap, psf: BeamPsf, outline: Outline) -> ResistEner
 
 
 def _class_count(numerics: ExposureNumerics, lenses: Sequence[LensDoses], sums: Sequence[SizeSums]) -> int:
-    """Number of classes, of which half a step changes printed sizes by :data:`_ROUNDING_NM` where it is not given.
+    """Number of dose classes; with "auto", half a step from class to class changes sizes by :data:`_ROUNDING_NM`.
 
     The lens of the largest mean latitude decides: one at a low dose may not print at all.
     """

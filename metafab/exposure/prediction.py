@@ -16,8 +16,8 @@ from metafab.exposure.energy.resist import TILE_SITES, ResistEnergy, TileEnergy
 from metafab.exposure.printing import EdgeTables, add_edge_displacements
 from metafab.exposure.sums import dose_to_size_sums, size_statistics
 
-#: Tiles from which the dose to size and the process window are found, and rows of these from one to the next of the
-#: window.
+#: Number of tiles from which the dose to size and the process window are found; the window takes every fourth row of
+#: them.
 _SAMPLED_TILES, _WINDOW_ROWS = 16, 4
 #: Bins of the histogram of size errors, and their width (nm).
 BINS, BIN_NM = 1200, 0.05

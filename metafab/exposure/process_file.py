@@ -55,9 +55,8 @@ def fitted_process(
 
     Raises:
         InputError: the design has no ``[process.exposure]``, or keys that the fit does not support; a table that cannot
-        be
-            read, with places without a pillar, doses that are not positive or means that no pillar has; or sizes that
-            do not determine the parameters.
+            be read, with places without a pillar, doses that are not positive or means that no pillar has; or sizes
+            that do not determine the parameters.
     """
     start = exposure_process(design, _unfit(design))
     measured = read_measured(table, ("copy", "dose", "focus_um", *_ETCHED))

@@ -37,9 +37,11 @@ _BLOCK_SITES, _LONGEST_SITES = 128, 40
 #: Least correlation of a block with itself, up to a phase, shifted by a repeat or a multiple of it: snapping to sizes
 #: takes 0.01 to 0.1. Largest phase after a repeat, turns: the seam of a periodic window loses 1 - sinc^2 = 0.8 % there.
 _ALIKE, _TURNED = 0.85, 0.05
-#: Windows along an axis that are compared, most windows that are solved, and those of them that are solved at the fine
-#: resolution at first: more follow in pairs until the mean change is known to this share of the bound that it gives.
-_PLACES, _WINDOWS, _FINE_WINDOWS, _KNOWN = 8, 8, 3, 0.5
+#: Most windows along an axis that are compared, and most windows that are solved.
+_PLACES, _WINDOWS = 8, 8
+#: Windows that are first solved at the fine resolution. More follow in pairs until the standard error of the mean
+#: change is at most this share of the bound on the error that follows from the change.
+_FINE_WINDOWS, _KNOWN = 3, 0.5
 #: Processor time that the solutions may take in a run; seconds per cubed number of functions, measured on a slow core.
 _LIMIT_S, _PER_CUBE_S = 60.0, 2.5e-9
 #: Ascending polynomial orders of rectangles and of curved outlines.
@@ -138,12 +140,12 @@ class _Windows:
     """Distinct windows of one repeat."""
 
     sizes_nm: list[FloatArray]  #: Shape (n_y, n_x, 2) each.
-    weight: FloatArray  #: Shape (n,), windows of the mask that are alike.
+    weight: FloatArray  #: Shape (n,), number of compared windows that are equal up to a shift.
     unseen: float  #: Share of the mask that no compared window covers.
 
 
 def _windows(pillars: PillarMap, shape: tuple[int, int]) -> _Windows:
-    """Windows of one repeat, spread evenly over the mask, that hold as many pillars as any; InputError if none does."""
+    """Windows of one repeat, spread evenly over the mask, of the largest number of pillars; InputError for none."""
     counts = [total // sites for total, sites in zip(pillars.lattice.shape, shape, strict=True)]
     first = [(total - n * sites) // 2 for total, n, sites in zip(pillars.lattice.shape, counts, shape, strict=True)]
     places = [np.unique(np.linspace(0, n - 1, min(n, _PLACES)).round().astype(int)) for n in counts]
@@ -153,7 +155,7 @@ def _windows(pillars: PillarMap, shape: tuple[int, int]) -> _Windows:
             for j in places[0]
         ]
     )
-    # Sites of an even pattern differ by nothing along the axis along which it does not change.
+    # Share of the sites seen along each axis: all of them if the compared windows do not change along it.
     seen = [
         n * sites / total if n == len(at) else (1.0 if np.all(found == found.take([0], axis)) else len(at) / n)
         for axis, (n, sites, total, at) in enumerate(zip(counts, shape, pillars.lattice.shape, places, strict=True))

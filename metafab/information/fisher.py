@@ -4,7 +4,7 @@ At each frequency the two images hold one texture S behind two transfer function
 b_j = O_j sqrt(P) / noise_j, where P is the power of the texture, and let ' be the derivative with respect to depth.
 
 Unknown texture
-    S is Gaussian with power P, a nuisance parameter that the covariance of (Y_x, Y_y) projects out. Left is
+    S is Gaussian with power P, a nuisance parameter that the covariance of (Y_x, Y_y) projects out. There remains
     J = 2 |b_x b_y' - b_y b_x'|^2 / (1 + |b_x|^2 + |b_y|^2): only a change of the *ratio* of the transfer functions
     counts. For a conjugate pair O_y = conj(O_x) = |O| exp(-i alpha) this is
     J = 8 (P |O|^2)^2 alpha'^2 / (1 + 2 P |O|^2): the depth is in the phase. A single image, a symmetric PSF (lens,

@@ -54,7 +54,7 @@ def load_frame(path: Path, psf: Psf, *, counts: Counts = _ELECTRONS, first_row: 
         type's largest value, or the frame's own largest value where many pixels share it (``saturation_assumed``).
 
     Raises:
-        InputError: the file cannot be read, is no grey picture, or is metafab's own, in electrons already.
+        InputError: the file cannot be read or is no grey picture, or ``counts`` is given for a ``raw.h5``.
     """
     if path.suffix.lower() in HDF5_SUFFIXES:
         if counts != _ELECTRONS:

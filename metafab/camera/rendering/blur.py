@@ -16,7 +16,8 @@ from metafab.core.conventions import FloatArray
 
 #: Share of the kernels' energy over the field that the basis may leave out.
 BASIS_TOLERANCE = 1e-6
-#: Share that the basis of veils may leave out; they only correct the light at outlines.
+#: Share that the basis of veils may leave out. A veil is the part of each pixel's view that a layer covers; it serves
+#: only to correct the light at outlines.
 _VEIL_TOLERANCE = 1e-3
 #: Directions whose field weights are computed at a time: they stay in the cache.
 _BLOCK_PX = 4096
@@ -65,9 +66,9 @@ class FieldBlur:
     def veil(
         self, light: FloatArray, coverage: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Blur a layer's light and a coverage of its depth roughly; arguments and shapes are those of a call.
+        """Blur a layer's light and a coverage at its depth with few basis kernels; shapes are those of a call.
 
-        Coverage is blurred by kernels of sum 1, so that one that fills the view covers all of it.
+        Coverage is blurred by kernels of sum 1, so that a layer that fills the view covers all of it.
         """
         maps, throughput = self._maps(tangent_x, tangent_y, self.veil_count)
         spread, covered = self._spread(np.stack([light, coverage / np.maximum(throughput, _DARK)]), maps)

@@ -19,7 +19,7 @@ from metafab.core.parallel.progress import Progress
 
 #: Blurs that are kept from frame to frame; one of the paper's lens takes a megabyte.
 _MOST_BLURS = 256
-#: Number, among those of objects, of the whole image of a picture or of a scene in which nothing moves.
+#: Key in place of an object's number for a whole image: of a picture, or of a scene in which nothing moves.
 _WHOLE = -1
 
 
@@ -47,12 +47,12 @@ class Lens:
     windows: tuple[Window, Window]  #: Of the x and the y image.
     #: Blurs of both polarisations by depth.
     blurs: dict[float, tuple[FieldBlur, FieldBlur]] = field(default_factory=dict)
-    #: Layers of the objects that do not move, by (polarisation, number): each is blurred once in a film, with what
-    #: other objects at rest hide of it. The image as a whole, where nothing moves.
+    #: Layers of the objects that do not move, by (polarisation, number): each is blurred once in a film,
+    #: less the light that other objects at rest hide. Where nothing moves, the image as a whole.
     still: dict[tuple[int, int], Layer] = field(default_factory=dict)
     #: Picture with its depth that is photographed in place of objects; it does not move.
     picture: DepthPicture | None = None
-    #: Whether the kernels are of each image for light of the other polarisation, the ghosts of a substrate.
+    #: Whether the kernels are those of ghosts: in each image, light of the other polarisation (birefringent substrate).
     crossed: bool = False
 
     @property
@@ -179,8 +179,9 @@ class Lens:
         """Correct the light of a surface at the outlines of nearer ones.
 
         Radiance does not change along a ray, so a pixel whose view nearer surfaces cover by the share a sees 1 - a of
-        what is behind. The blurred visible points give another share there, because each depth has its own blur. The
-        difference, times the surface's mean light, is added. ``veil`` is a; the surface adds its own part to it.
+        the surface behind. The sum of its blurred visible points has another share, because each depth has its own
+        blur. The difference, times the surface's mean light, is added. ``veil`` is a; the surface adds its own part to
+        it.
         """
         window, shape = self.windows[polarisation], self.kernels.shape
         margin = (shape[0] // 2, shape[1] // 2)

@@ -2,7 +2,7 @@
 
 The ray from a point in direction t at vergence v (1/depth) to the point p of the aperture crosses the vergence w of a
 nearer surface in the direction t + p (w - v). The surface hides the aperture point where it lies in that direction.
-Surfaces at equal depths therefore hide nothing of each other but what lies behind them, and touch without a seam.
+Surfaces at equal depths therefore hide each other only where they overlap, and touch without a seam.
 
 A pixel that several surfaces cover in part is shared out from the nearest on: outlines that meet in a pixel are taken
 to touch, and not to cover the same part of it.
@@ -54,7 +54,7 @@ class Occluder:
 
 
 def visible_piece(piece: Piece, nearer: Sequence[Occluder], aperture_px_m: FloatArray) -> Piece:
-    """The piece with the brightness of what the aperture sees of it behind nearer surfaces; its coverage stays whole.
+    """The piece with the brightness that the aperture sees past nearer surfaces; its coverage is unchanged.
 
     ``aperture_px_m``, shape (n, 2), is the shift (columns, rows) of an outline by each aperture point, pixels per 1/m.
     """
@@ -63,7 +63,7 @@ def visible_piece(piece: Piece, nearer: Sequence[Occluder], aperture_px_m: Float
 
 
 def visible_share(surface: Occluder, nearer: Sequence[Occluder], aperture_px_m: FloatArray) -> FloatArray:
-    """Share of the aperture and of the pixel that sees each pixel of a surface: shape of ``surface``, 0 to 1."""
+    """Visible share of each pixel of a surface, mean over its covered part and the aperture: shape of ``surface``."""
     shape = surface.coverage.shape
     behind, undecided = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
     before = []
@@ -108,7 +108,7 @@ def _placed(mask: Occluder, surface: Occluder, margin: int) -> FloatArray | None
 
 
 def _margin(surface: Occluder, mask: Occluder, aperture_px_m: FloatArray) -> int:
-    """Pixels by which a mask can be shifted as seen from the surface, and one; 0 for a pinhole or equal depths."""
+    """Pixels by which a mask can be shifted as seen from the surface, plus one; 0 for a pinhole or equal depths."""
     between_per_m = float(mask.vergence_per_m.max() - surface.vergence_per_m.min())
     shift_px = max(between_per_m, 0.0) * float(np.abs(aperture_px_m).max(initial=0.0))
     return int(np.ceil(shift_px)) + 1 if shift_px >= _LEAST_SHIFT_PX else 0

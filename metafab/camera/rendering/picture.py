@@ -26,7 +26,8 @@ from metafab.spec.scene import Scene
 _DARKEST = 0.02
 #: Smallest weight of a layer that is blurred.
 _LEAST_WEIGHT = 1e-5
-#: Jump of depth that is an outline, as the pixels by which the aperture's rim shifts one side against the other.
+#: Least jump of depth that is an outline: pixels by which its sides shift against each other, seen from the rim of
+#: the aperture instead of its centre.
 _OUTLINE_PX = 1.0
 
 
@@ -89,7 +90,7 @@ def pieces(
     shifts_px_m: FloatArray,
     polarisation: int,
 ) -> Iterator[Piece]:
-    """Yield the surfaces of a picture that are seen through the aperture: its own, and that behind its outlines.
+    """Yield the surfaces that the aperture sees: that of the picture, and its continuation behind outlines.
 
     Args:
         tangent_x: shape (n_y, n_x), x/z of the grid's directions; likewise ``tangent_y``.
@@ -107,7 +108,7 @@ def pieces(
         got = f"{depth_m[known].min():g} to {depth_m[known].max():g} m"
         expected = f"depths inside the PSF calibration, {layers_m.min():g} to {layers_m.max():g} m"
         raise InputError.single("scene", "rgbd.depth_file", expected, got, "scale them by `depth_range_m`")
-    # Holes hide nothing and shine nowhere: they lie farther than everything else.
+    # Holes hide nothing and have no light: they count as infinitely far.
     vergence = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0)
     reach = float(np.abs(shifts_px_m).max())
     yield _piece(light, vergence, known, layers_m, _open_share(vergence, vergence, known, shifts_px_m))
@@ -151,7 +152,7 @@ def _piece(
 def _open_share(
     vergence: FloatArray, start: FloatArray, asked: NDArray[np.bool_], shifts_px_m: FloatArray
 ) -> FloatArray:
-    """Share of the aperture that points of vergence ``start`` see past the surface: shape (n_y, n_x); 1 elsewhere."""
+    """Share of the aperture that sees points of vergence ``start`` past the surface; 1 if not asked: (n_y, n_x)."""
     reach = float(np.abs(shifts_px_m).max())
     jump, margin = _jump(reach), int(np.ceil(reach * float(np.ptp(vergence)))) + 1
     nearer = maximum_filter(vergence, 2 * margin + 1, mode="nearest") - start > jump
@@ -174,7 +175,7 @@ def _march(
     """Share of the rays to the aperture points that meet no surface: shape of ``rows``.
 
     A ray is followed in steps of half a pixel from vergence ``start`` to the nearest surface's. It is stopped where it
-    comes out of the back of a surface that goes on there, and passes where the surface ends in a jump.
+    meets a continuous surface from behind, and passes where the surface ends in a jump.
     """
     n_y, n_x = vergence.shape
     highest = vergence.max()

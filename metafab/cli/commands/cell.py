@@ -35,7 +35,7 @@ class CellFigures:
     seconds: float  #: Time of the solver.
     solver: str  #: Name of the solver: "rcwa", "elements" for curved outlines, or "meep".
     details: Any  #: Further figures of the solver.
-    orders: Any = optional()  #: Diffraction orders of RCWA, or functions of spectral elements; None for Meep.
+    orders: Any = optional()  #: Number of RCWA's orders or of the spectral elements' functions; None for Meep.
     resolution: Any = optional()  #: Pixels per um of Meep; None for the others.
     diffraction: Any = optional()  #: Power of each propagating order; None for a cell with one order.
 
@@ -130,7 +130,7 @@ def library_build(
     announce([f"{few} cells are solved" if few == many else f"{few} to {many} cells are expected"])
     if spec.neighbours is not None:
         announce([f"{spec.neighbours.rows} rows of unlike pillars are solved for each direction and light"])
-    # Resonances decide how many of the other cells are solved.
+    # Steps whose total is known in advance; the number of cells of an adaptive sweep depends on resonances.
     known = {"library", "rows of unlike pillars"} if few == many else {"rows of unlike pillars"}
     with open_work(workers, cluster) as (work, cost), work.processes() as executor:
         progress = pace(work.progress, known)

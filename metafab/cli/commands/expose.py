@@ -43,8 +43,8 @@ def expose_command(
 
     With --correct and -o DIR, the corrected mask is written to DIR: one datatype per dose class with the tables
     doses.csv, doses.jdi and doses.txt, or corrected shapes. If DIR holds the mask itself, or a run, it is written to
-    DIR/corrected. With -o DIR/exposure.json in a run folder, the next report shows the
-    size errors, before and after the correction with --correct.
+    DIR/corrected. With -o DIR/exposure.json in a run folder, the next report shows the size errors;
+    with --correct, before and after the correction.
     """
     from metafab.spec import load_design
     from metafab.steps.exposure import (
@@ -121,7 +121,7 @@ def _described(psf: BeamPsf) -> dict[str, object]:
         "form": "sum over terms of weight / (pi range_nm^2) exp(-r^2 / range_nm^2)",
         "energy": "base_over_clearing_dose times the sum, over all pillars and all shapes counted in `beside`, of dose "
         "times the integral of the form over the drawn shape; copies have their doses, layers of `beside` 1; at "
-        "edges the mean of the middles of both",
+        "edges the mean over the middles of two opposite edges",
         "given": [asdict(term) for term in psf.terms],
         "blur_nm": psf.blur_nm,
         "fit_error": psf.fit_error,

@@ -114,7 +114,7 @@ def psf_command(
     present = [name for name, value in options.items() if value is not None]
     if len(present) > 1 and (calibration or scene is not None):
         whole = "--scene" if scene is not None else "--calibration"
-        raise InputError.single("psf", whole, "no option that it answers itself", ", ".join(present))
+        raise InputError.single("psf", whole, "none of the options that it sets itself", ", ".join(present))
     if object_mm is not None and angle_deg is not None:
         raise InputError.single("psf", "--object-mm", "the place of the object, or --angle-deg", "both")
     require_positive("--depths-m", *(depth for depth in depths_m or () if depth != math.inf))
@@ -195,7 +195,7 @@ def import_command(
     ] = None,
     centring: Annotated[
         Literal["auto", "mass", "brightest", "turn", "none"],
-        typer.Option("--centre", help="Centre: mass, main lobe, circle on which it turns, or middle pixel."),
+        typer.Option("--centre", help="Centre: of mass, main lobe, the circle on which it turns, or the picture."),
     ] = "auto",
     sampled: Annotated[
         bool, typer.Option("--sampled", help="Values are samples at pixel centres, not integrals over pixels.")

@@ -33,8 +33,8 @@ class PointImage:
 
     vergence_per_m: float  #: 1/depth at which the prediction fits best.
     place_um: tuple[float, float]  #: (x, y) on the sensor.
-    #: Of the vergence and of both coordinates of the place, from the photograph's noise, or from the residual where
-    #: that is larger.
+    #: Variance of the vergence and of both coordinates of the place, from the photograph's noise, or from the
+    #: residual where that is larger.
     variance: tuple[float, float, float]
     chi_square: float  #: Mean square of the residual over that of photon and read noise; 1 for a perfect model.
     misfit: float  #: Share of the image's power that neither the model nor noise explains.

@@ -1,7 +1,7 @@
 """Change detection between raw frames, before their images are registered.
 
 Square patches of the raw frame are compared, one about each downsampled pixel of either image. They stand on whole
-pixels, which does not matter, because they are the same in all frames.
+pixels; the rounding does not matter, because it is the same in all frames.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from metafab.decode.registration.twins import BRIGHTEST, TwinGrid, compilable
 
 #: Side of the window over which changes are pooled, patches.
 _WINDOW = 7
-#: Standard deviations of noise that are no change: the mean square has a longer tail than a Gaussian, and with 6 a
-#: false change passes once in some dozen frames of 10^5 pixels.
+#: Largest deviation by noise alone, in standard deviations: the mean square has a longer tail than a Gaussian, and with
+#: 6 a false change passes once in some dozen frames of 10^5 pixels.
 _DEVIATIONS = 8.0
 #: Least noise of a pixel, as a share of that of a lit one: noise leaks from bright neighbours.
 _SMALLEST_NOISE = 0.05
 #: Sides of changed rectangles, blocks: few sizes, so that their transforms can be kept.
 _SIDES = (*range(1, 13), *range(14, 25, 2), 28, 32, 40, 48, 56, 64, 80, 96, 112, 128)
-#: Distance from a changed window up to which filters mix the change in, as a share of the margin: beyond it, with the
-#: window's own half, they have a seventieth of their energy.
+#: Distance from a changed window within which decoded pixels change, as a share of the margin: beyond it and half a
+#: window, the filters hold a seventieth of their energy.
 _REACH = 0.5
 
 
@@ -60,12 +60,12 @@ class PatchMeans:
 
 @dataclass(frozen=True)
 class ChangeDetector:
-    """Patches of frames of one shape."""
+    """Detector of changes between frames of one shape, by their patches."""
 
     row: NDArray[np.int32]  #: Shape (2, n_y, n_x), first frame row of each patch.
     column: NDArray[np.int32]  #: Shape (2, n_y, n_x), first frame column.
     side: int  #: Side of a patch, pixels.
-    margin: int  #: Patches on all sides of the decoded window.
+    margin: int  #: Number of patches beyond each side of the decoded window.
 
     @classmethod
     def of(cls, grid: TwinGrid, downsampling: Downsampling) -> ChangeDetector:

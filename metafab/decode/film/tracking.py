@@ -21,7 +21,8 @@ from metafab.decode.segmentation.segments import Regions, SegmentDepth
 
 Part = tuple[slice, slice]
 
-#: A segment continues another if at least this share, and this number, of its pixels on unchanged light lie on it.
+#: A segment continues one of the last frame if at least this share and this number of its pixels of unchanged light
+#: lie on that one.
 _CONTINUED_SHARE, _FEWEST_CONTINUED = 0.5, 9
 #: Growth of a segment's pixels from which its depth is measured again.
 _GROWTH = 1.25
@@ -32,7 +33,8 @@ class TrackedRegions:
     """Segments of a frame, tracked from the last one."""
 
     regions: Regions  #: The segments.
-    #: Shape (n_last + 1,), number of each of the last frame's segments from 0 (none); 0 for one that has gone.
+    #: Shape (n_last + 1,), present number of each segment of the last frame, by its number there (0 for none); 0 for
+    #: one that has gone.
     number: NDArray[np.int32]
 
 
@@ -65,9 +67,9 @@ def track(
 ) -> TrackedRegions:
     """Replace the affected pixels of a part of the last frame's segments by the current ones.
 
-    Current segments are those of the surroundings. Numbers continue. All other pixels of the part keep their segments:
-    new noise moves no outline. The arguments are those of :func:`planes_around`; ``affected`` has the shape (n_y, n_x)
-    of the part.
+    Current segments are those of the surroundings. Segments that continue keep their numbers. All other pixels of the
+    part keep their segments: new noise moves no outline. The arguments are those of :func:`planes_around`; ``affected``
+    has the shape (n_y, n_x) of the part.
     """
     inside, count = relative_slices(part, surroundings), len(last.depths)
     continued = _continued(last, current, part, surroundings, affected, separation_per_m)

@@ -31,8 +31,8 @@ _BAND_SHARE = 1.0 / 12.0
 #: Mismatch of the twins from which the calibration is doubted, and its increase per share of noise in their power,
 #: which is known to some per cent where there is little light. Frames of the calibrated camera have 0.005 at most.
 _LARGEST_MISMATCH, _MISMATCH_PER_NOISE = 0.01, 0.25
-#: Share of the segments' pixels, those whose twins agree best, by which a calibration is judged: a wrong one spoils all
-#: of them, small pieces that hide each other only many.
+#: Share of the segments' pixels by which a calibration is judged, those whose twins agree best: a wrong calibration
+#: spoils all pixels; small objects that hide each other spoil many, but not all.
 _JUDGED_SHARE = 0.25
 
 Patch = tuple[tuple[slice, slice], "PixelMaps", tuple[slice, slice]]

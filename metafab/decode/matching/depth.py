@@ -19,7 +19,7 @@ from metafab.decode.registration.downsampling import enlarged, repeated
 
 #: Mean product of the twins, in standard deviations of that of pure noise, from which there is texture.
 _SIGNIFICANT = 5.0
-#: Windows that are tried, each twice as wide as the one before.
+#: Number of windows that are tried, each twice as wide as the one before.
 _WINDOWS = 3
 #: Width of a window, in pixels of the volume, from which every second pixel is enough.
 _WIDE_WINDOW = 8
@@ -125,7 +125,7 @@ def parabolic_peak(below: FloatArray, at: FloatArray, above: FloatArray) -> Peak
 def quartic_peak(values: NDArray[np.float32]) -> Peak:
     """Maximum of the quartic through five values at every half step; its place counts in steps from the middle one.
 
-    A parabola through three candidates leans by up to a tenth of a step where the maximum is as narrow as two steps:
+    A parabola through three candidates is off by up to a tenth of a step where the maximum is as narrow as two steps:
     0.9 % of the depth at the sides of the paper's field, calibrated from 0.23 to 0.71 m. Values of shape (5, ...) give
     the peak within a step of the middle, shape (...).
     """
@@ -182,8 +182,8 @@ def _quartic_peaks(
 def spline_peaks(values: FloatArray) -> Peak:
     """Largest values of splines through equally spaced values; places are counted from the first one.
 
-    A parabola through three candidates has an error that is the same all over a frame. Values of shape (n,
-    n_candidates) give n peaks.
+    A parabola through three candidates would have the same error all over a frame, which no mean removes. Values of
+    shape (n, n_candidates) give n peaks.
     """
     fine = values @ _spline_table(values.shape[1]).T
     best = fine.argmax(axis=1)

@@ -15,8 +15,9 @@ from metafab.core.numeric.spectra import transfer_functions
 from metafab.decode.matching.levels import LOWEST_FREQUENCY, high_pass
 from metafab.decode.registration.downsampling import Downsampling
 
+#: Most basis kernels of an image.
 _LARGEST_BASIS = 64
-#: Sizes of transforms that are kept, the last used.
+#: Number of sizes whose transforms are kept, those used last.
 _KEPT_SIZES = 6
 
 

@@ -9,7 +9,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import spread
 
-#: Pictures that are summed at once: one sum alone waits for its last addition.
+#: Number of pictures that are summed at once: additions to a single sum wait for one another.
 _PICTURES_AT_ONCE = 4
 
 

@@ -1,4 +1,4 @@
-"""Semi-global matching: the level of every pixel whose cost, with that of changes from pixel to pixel, is least.
+"""Semi-global matching: levels of all pixels that minimise costs plus prices of changes from pixel to pixel.
 
 Costs are summed along eight directions, with a price for each change of level that does not rise for jumps beyond two
 levels (Hirschmueller, IEEE Trans. Pattern Anal. Mach. Intell. 30, 328, 2008).
@@ -19,7 +19,7 @@ def cheapest_levels(cost: NDArray[np.float32], change: float, jump: float) -> ND
     Args:
         cost: shape (n_y, n_x, n_levels), cost of each level.
         change: price of a change by one level from a pixel to the next, in the unit of the costs.
-        jump: price of any change, where that is less.
+        jump: largest price of a change.
     """
     totals = np.zeros((2, *cost.shape), dtype=np.float32)
     spread(_sweeps, 2, np.ascontiguousarray(cost, dtype=np.float32), np.float32(change), np.float32(jump), totals)
@@ -35,7 +35,7 @@ def _add_path(
     path: NDArray[np.float32],
     total: NDArray[np.float32],
 ) -> None:
-    """Continue a path by a pixel, of ``cost`` (n_levels,), and add it to ``total``; 0 ``before`` begins one."""
+    """Continue a path by a pixel, of ``cost`` (n_levels,), and add it to ``total``; zeros ``before`` begin one."""
     count = cost.size
     least = before.min()
     for k in range(count):

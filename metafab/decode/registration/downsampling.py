@@ -109,8 +109,7 @@ def edge_taper(inner: int, margin: int, fade_share: float, size: int | None = No
     """A cosine taper: 1 over the inner pixels, falling to 0 over the outer part of the margins on both sides.
 
     A step where a transform wraps round would be common to both images and bias the depth. ``fade_share`` is the share
-    of the margin over which the taper falls; its length ``size``, shape (size,), is by default that of inner pixels and
-    margins.
+    of the margin over which the taper falls. The result has the shape (size,), by default inner pixels and margins.
     """
     place = np.arange(inner + 2 * margin if size is None else size)
     outside = np.maximum(margin - place, place - (margin + inner - 1))

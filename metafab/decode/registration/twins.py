@@ -283,7 +283,7 @@ def _repaired(values: NDArray[np.float32], broken: NDArray[np.bool_]) -> NDArray
 
 
 def _grown_range(places: NDArray[np.intp], hits: NDArray[np.intp], step: int, end: int) -> tuple[int, int]:
-    """First place and count of a coarse range with at least half of the most hits, grown by less than a step."""
+    """First pixel and length of the coarse ``places`` with at least half of the most hits, widened by under a step."""
     chosen = places[hits >= 0.5 * max(1, hits.max())]
     first, last = max(int(places[0]), int(chosen[0]) - step + 1), min(end - 1, int(chosen[-1]) + step - 1)
     return first, last - first + 1

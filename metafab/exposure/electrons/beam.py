@@ -34,9 +34,9 @@ BACKSCATTER_NM = 2000.0
 _LOG_STEP = 0.7
 #: Largest range of a Gaussian in a power law (nm): the range of 100 keV electrons in silicon, which ends the law.
 _LARGEST_RANGE_NM = 5e4
-#: Largest share of negative energy in all rings of a factor e in radius that terms may have: three times that of the
-#: presets' fits beyond the range of the electrons.
-_LEAST_NEGATIVE = 0.01
+#: Largest negative share of all energy that terms may have in any ring of a factor e in radius: three times that of
+#: the presets' fits beyond the range of the electrons.
+_MOST_NEGATIVE = 0.01
 #: Ratio of neighbouring ranges in the fit of a table, and the share of all energy below which a ring counts less.
 _FIT_RATIO, _FIT_FLOOR = 1.35, 1e-4
 #: Empty rings beyond the table, and least ratio of their radii: they reach to three times its last radius, which
@@ -46,8 +46,8 @@ _EMPTY_RINGS, _EMPTY_RATIO = 4, 4.0 / 3.0
 _FIT_WITHIN = 30.0
 #: Likewise of the sum of all weights.
 _FIT_SUM = 1e3
-#: Likewise of a penalty on large weights: of both signs, they magnify the errors of the energy, the more the shorter
-#: their ranges are.
+#: Likewise of a penalty on large weights: those of opposite signs magnify the errors of the energy, the more the
+#: shorter their ranges are.
 _FIT_SMALL = 0.3
 #: Least share of all energy of the rings whose relative errors are stated; of a finer table those with at least half
 #: of its largest ring's.
@@ -90,7 +90,7 @@ class BeamPsf:
         psf = cls(weight[order], range_nm[order], tuple(terms), source)
         radius_nm = np.geomspace(0.1 * range_nm.min(), 4.0 * range_nm.max(), 1000)
         energy = 2.0 * math.pi * radius_nm**2 * psf.density(radius_nm)
-        if energy.min() < -_LEAST_NEGATIVE:
+        if energy.min() < -_MOST_NEGATIVE:
             expected, worst = "an energy density that is nowhere negative", radius_nm[energy.argmin()]
             got = f"{energy.min():.2g} of all energy for a factor of e in radius, at {worst:.3g} nm"
             raise InputError.single("exposure", "terms", expected, got, "weaken the terms of negative weight")

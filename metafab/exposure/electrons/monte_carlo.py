@@ -15,8 +15,8 @@ the charge reversed, where it is above 1,
     ((1 - v / 2) / (1 - v + v^2 / (4 s^2)))^2,   v = V / E.
 
 At small angles the screening alpha holds in its place. Collisions with the electrons of the atom deflect as well: they
-count as one more unit of charge (Z^2 + Z), up to a loss of 0.4 % of the energy. Harder ones cost the energy with which
-the electron would come back; the continuous loss counts that energy, but not in the electron that is turned.
+count as one more unit of charge (Z^2 + Z), up to a loss of 0.4 % of the energy. Harder ones are left out:
+the electron that is turned has lost the energy to come back, but the continuous loss takes it from all alike.
 
 Energy is lost continuously along the path: by the relativistic Bethe formula, and below 10 keV by Joy and Luo's
 modification (Scanning 11, 176, 1989), with the mean excitation energies and the rule for compounds of ICRU report 37

@@ -26,7 +26,7 @@ from metafab.exposure.electrons.beam import BeamPsf
 REACH = 3.6
 #: Shortest range of the coarse grid, in periods.
 LONG_PERIODS = 18.0
-#: Sites a side of a block of the coarse grid: 2 ninths of its shortest range.
+#: Sites a side of a block of the coarse grid: two ninths of the shortest range on that grid.
 BLOCK_SITES = 4
 
 

@@ -102,7 +102,7 @@ class Crystal:
         # The first order of the path is the change of q, its second order the change of direction that this causes.
         slope_x, slope_y = self._component_slopes(kappa_x, kappa_y)
         square = kappa_x**2 + kappa_y**2
-        # Derivative of the ray's transverse displacement over kappa, in object depths: across + radial kappa kappa^T.
+        # Derivative of the ray's displacement with respect to kappa, in object depths: across 1 + radial kappa kappa^T.
         in_plate = vergence_per_um * thickness_um
         in_air = 1.0 - in_plate
         cosine = np.sqrt(1.0 - square)

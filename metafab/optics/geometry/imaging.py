@@ -187,7 +187,7 @@ def _cosines(place_um: tuple[float, float], distance_um: float) -> tuple[float, 
 
 
 def _deflections(design: Design, distance_um: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Direction cosines of the centre of the window that the design names, or of its target, for x and y polarisation.
+    """Direction cosines of the window's centre, as the design states it or else of the target, for x and y light.
 
     InputError if the target sends the light beyond 90 degrees, or a user's array is unusable.
     """

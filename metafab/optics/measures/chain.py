@@ -4,7 +4,7 @@ The field behind the pillars is the target wave, u = exp(i target phase), times 
 orthogonal to it. |c|^2 is the share of the light in the target wave. It is the product of the transmittance, the
 overlap that the library allows with continuous sizes, the loss by snapping to the size grid, and the loss at the rim,
 where no whole cell fits. Full-wave rows of the mask give a further loss by coupling between unlike neighbours. The
-target wave loses the light that misses an opening, a pinhole or the frame of a hologram's picture, and some of the rest
+target wave loses the light that misses the opening (a pinhole, or the frame of a hologram's picture); some of the rest
 enters it. The factors multiply to the efficiency of the written mask, which is measured independently. The chain of a
 deflector ends with the target wave.
 """

@@ -26,7 +26,7 @@ _PER_FRINGE, _WINDOW_PX = 4.0, 64
 _SECTION = 241
 #: Samples of a curve of encircled energy.
 _RADII = 61
-#: Reach of both, wavelengths / NA.
+#: Reach of cross-sections and of these curves, wavelengths / NA.
 _REACH = 3.0
 #: Radius of Airy's first dark ring in wavelengths / NA (first zero of J_1 over 2 pi).
 _FIRST_RING = 0.6098

@@ -20,10 +20,10 @@ _SAMPLES_PER_RAD = 6.0
 def modulation_transfer(psf: Psf) -> tuple[FloatArray, FloatArray]:
     """Return the MTF averaged over azimuth, of the transmitted light: frequencies and moduli.
 
-    The mean frequency of each ring, shape (n_frequency,), cycles per um from 0 to half the sampling rate; and the mean
-    modulus of the window's spectrum over the transmitted power, shape (2, n_depth, n_frequency), and 1 at frequency 0:
-    transmitted light outside the window is a background without modulation. A pair without a power budget, as
-    a measured one, is taken over the power in its window.
+    The frequencies are the means of rings, shape (n_frequency,), cycles per um from 0 to half the sampling rate. The
+    moduli, shape (2, n_depth, n_frequency), are means of the modulus of the window's spectrum over the transmitted
+    power, and 1 at frequency 0: transmitted light outside the window is a background without modulation. A pair without
+    a power budget, such as a measured one, is normalised by the power in its window.
     """
     n_y, n_x = psf.psf.shape[2:]
     spectrum = np.abs(np.fft.fft2(psf.psf))
