@@ -4,11 +4,9 @@
 ``Design.min_spacing_nm``, the smallest gap between standing ones. ``rules.gap_rule`` chooses how it is kept:
 
 - "each": by every pillar alone. :func:`allowed_sizes` limits width and length to :func:`largest_sides_nm`, so that any
-two
-  pillars may be neighbours; turned pillars (:mod:`metafab.layout.turned`) keep their extent within it.
+  two pillars may be neighbours; turned pillars (:mod:`metafab.layout.turned`) keep their extent within it.
 - "pairs": by each pair of neighbours. :func:`joint_sizes` admits larger pillars, and :mod:`metafab.layout.joint`
-chooses
-  sizes that keep the gap.
+  chooses sizes that keep the gap.
 
 Gaps are measured by :mod:`metafab.layout.gaps`, and :mod:`metafab.drc` checks the rule on the written file.
 """
