@@ -58,7 +58,7 @@ __all__ = ["__version__"]
 
 
 def __getattr__(name: str) -> Any:
-    """Import a room when it is first used, so that ``import metafab`` stays fast."""
+    """Import a package when it is first used, so that ``import metafab`` stays fast."""
     if name in _ROOMS:
         return import_module(f"metafab.{name}")
     raise AttributeError(f"module 'metafab' has no attribute {name!r}")

@@ -30,7 +30,7 @@ def pillar_cell(
     angle_deg: float = 0.0,
     azimuth_deg: float = 0.0,
 ) -> PillarCell:
-    """Return the cell of one pillar of ``unit_cell``, with its materials' indices at the wavelength (that of the spec).
+    """Return the cell of one pillar of ``unit_cell``, with the indices at ``wavelength_nm`` (by default the spec's).
 
     Width (along x) and length (along y) are 0 to the period. ``angle_deg`` is the polar angle in the medium of
     incidence, 0 to < 90; ``azimuth_deg`` that of the plane of incidence, counter-clockwise from +x. InputError if one
@@ -80,8 +80,8 @@ def solve(
 ) -> CellResponse:
     """Solve one cell for its Jones matrices with the solver that ``numerics`` names.
 
-    ``known`` holds truncations of this cell by (cosines or polynomial order, steps), which are taken from there and
-    added; for several targets by RCWA or elements.
+    ``known`` is a cache of this cell's solutions by RCWA or elements, (cosines or polynomial order, steps) -> solution,
+    read and extended: for calls of several targets.
 
     Raises:
         InputError: the cell is unphysical, the numerics are out of range, or the solver does not treat the cell.

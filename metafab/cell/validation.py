@@ -29,10 +29,10 @@ def check(cell: PillarCell) -> None:
         ("shape", cell.shape, get_args(Shape)),
     )
     faults += [*_faults_of_lengths(cell), *_faults_of_corners(cell)]
-    steepest = 180.0 - _FLATTEST_WALL_DEG
-    if not _FLATTEST_WALL_DEG <= cell.sidewall_angle_deg <= steepest:
+    overhanging = 180.0 - _FLATTEST_WALL_DEG
+    if not _FLATTEST_WALL_DEG <= cell.sidewall_angle_deg <= overhanging:
         got = f"{cell.sidewall_angle_deg:g}"
-        faults.append(Fault("sidewall_angle_deg", f"{_FLATTEST_WALL_DEG:g} to {steepest:g}", got))
+        faults.append(Fault("sidewall_angle_deg", f"{_FLATTEST_WALL_DEG:g} to {overhanging:g}", got))
     if not 0.0 <= cell.angle_deg < 90.0:
         faults.append(Fault("angle_deg", "0 to below 90", f"{cell.angle_deg:g}"))
     if not math.isfinite(cell.azimuth_deg):

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import xarray
 
 #: Module whose function ``picture(result)`` returns an HTML picture of a result, or "". It is named here and imported
-#: when a notebook asks for a picture, because the rooms of results stand below the one that draws.
+#: when a notebook asks for a picture, because packages of results do not import the one that draws.
 PICTURES = "metafab.report.cards"
 #: Dimensions, values and unit of one variable; "" for a pure number.
 Variable = tuple[tuple[str, ...], ArrayLike, str]
@@ -48,9 +48,10 @@ class Displayed:
 def dataset(
     variables: Mapping[str, Variable], coordinates: Mapping[str, ArrayLike], **attributes: Any
 ) -> xarray.Dataset:
-    """Make an xarray dataset of variables by name: dimensions, values of any shape, unit. MissingToolError without it.
+    """Make an xarray dataset of variables by name: dimensions, values of any shape, unit.
 
-    Coordinates are dimension -> values of shape (n,); their unit is the suffix of the name.
+    Coordinates are dimension -> values of shape (n,); their unit is the suffix of the name. MissingToolError without
+    xarray.
     """
     try:
         import xarray

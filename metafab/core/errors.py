@@ -61,7 +61,7 @@ class SolverError(MetafabError):
 
 
 class WorkerLostError(MetafabError):
-    """Worker processes, ``losses`` of them, died again and again on one piece of work, function and arguments."""
+    """One after another, ``losses`` worker processes died on ``piece``, the function and arguments of one call."""
 
     def __init__(self, piece: str, losses: int) -> None:
         self.piece, self.losses = piece, losses

@@ -1,6 +1,6 @@
-"""Figures that a room computes and a run stores: the entries of ``summary.json`` and of the files that rooms write.
+"""Figures that the steps of a run compute and store: the entries of ``summary.json`` and of the steps' own files.
 
-They are defined below all rooms, so that a run without stale steps reads them back without importing a room.
+They are defined below the packages that compute them, so that a run without stale steps imports none of these packages.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from metafab.core.storage.tables import optional
 class PhaseFigures:
     """Key figures of a profile, under the names of the summary; None where a figure does not apply.
 
-    A figure with "gain" is relative to the plain spiral of Eq. 2.
+    A figure with "gain" is relative to the plain spiral of Shen 2023, Eq. 2.
     """
 
     peak_gain: float | None = optional()  #: Gain of the mean peak of the main lobe over the full turn.
@@ -80,7 +80,10 @@ class CornerStatistics:
 
 @dataclass(frozen=True)
 class LineStatistics:
-    """Errors of one chain on solved rows, relative rms of the transmitted field over the propagating orders."""
+    """Errors of one chain (the model of neighbours along one axis and polarisation) on solved rows.
+
+    They are relative rms of the transmitted field over the propagating orders.
+    """
 
     rows: int = 0  #: Rows that the chain was fitted to.
     held_out: int = 0  #: Rows kept out of the fit, from which the errors below were taken.
@@ -92,10 +95,10 @@ class LineStatistics:
     error_fitted: float = math.nan  #: Rms error on the rows of the fit.
     solver_error: float = math.nan  #: Rms error of the solved rows, from a sample solved more finely.
     error_floor: float = math.nan  #: Smallest stated error of a row.
-    #: Stated error, on top of the floor, over the powers below of what is known of a row
-    #: (:class:`metafab.library.neighbours.doubt.RowDoubts`).
+    #: Stated error above the floor, over the product of the row's predictors
+    #: (:class:`metafab.library.neighbours.doubt.RowDoubts`), each to its power below.
     error_slope: float = math.nan
-    error_power: float = 1.0  #: Power of the correction times the step, in files of older trainings; else 0.
+    error_power: float = 1.0  #: Power of the correction times the step: 0 in new trainings, 1 in the oldest files.
     error_power_correction: float = 0.0  #: Power of the correction.
     error_power_bend: float = 0.0  #: Power of the bend.
     error_power_gain: float = 0.0  #: Power of the gain.
@@ -198,7 +201,7 @@ class WriteTime:
     trapezoids: int  #: Trapezoids of these shapes.
     #: Shots of the trapezoids; None without a shot size, or where the field is exposed and not the pillars.
     shots: int | None
-    fields: int  #: Write fields that hold any.
+    fields: int  #: Write fields that hold any shape.
     beam_seconds: float  #: Dose x area / current; longer where the largest rate of shots limits it.
     settling_seconds: float  #: Settling of trapezoids and fields.
     seconds: float  #: Sum of both.

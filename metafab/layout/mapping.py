@@ -57,9 +57,9 @@ class TileMapping:
     tile_sites: int  #: Sites per side of a tile.
     #: Chooses sizes jointly, starting from the look-up table; None where every pillar keeps the gap alone.
     joint: JointSizes | None = None
-    #: Chooses sizes for their light among neighbours, starting likewise; None to use the library's t alone.
+    #: Chooses sizes by their light among neighbours, starting from the look-up table; None for the library's t alone.
     choice: NeighbourChoice | None = None
-    #: Sums of sampled tiles with the light among neighbours, where ``table`` was made from others by ``choice``.
+    #: Sums of sampled tiles with the light among neighbours, where ``table`` was shifted for neighbours; else None.
     sample: TileSums | None = None
     lights: LightChoice | None = None  #: Chooses sizes for several lights; None for the light of ``profile`` alone.
     outline: Outline = RECTANGLE  #: Outline of the pillars, for their gaps.
@@ -102,7 +102,7 @@ class TileMapping:
     def sampled(self, corner: tuple[int, int], table: SizeTable) -> TileSums:
         """Sums of the tile whose first site is ``corner`` with the sizes of ``table``, light among neighbours included.
 
-        ``table`` holds the sizes of :attr:`table`, which gives those for lone pillars.
+        ``table`` is :attr:`table` shifted for neighbours; :attr:`table` itself chooses sizes for equal neighbours.
         """
         assert self.choice is not None
         row, column, target, lone, _ = self._window(corner)
@@ -153,7 +153,7 @@ class TileMapping:
         target_rad: FloatArray,
         table: SizeTable | None = None,
     ) -> tuple[PillarTile, TileSums]:
-        """Cut the tile at ``inset`` out of a block with a halo, and sum over it with a table of the same sizes."""
+        """Cut the tile at ``inset`` out of a block with a halo; sum its fit by ``table``, by default :attr:`table`."""
         row, column = inset
         core = np.s_[row : row + self.tile_sites, column : column + self.tile_sites]
         lattice = self.aperture.lattice

@@ -24,8 +24,8 @@ from metafab.spec.turned import require_turnable
 
 #: Rows of sites that are assigned at a time.
 _ROWS = 16
-#: Trial values of the target's constant phase and of its amplitude over the library's rms: the library's phases cover
-#: the circle unevenly.
+#: Number of trial phases added to the target, and trial amplitudes of it over the library's rms: the library's phases
+#: cover the circle unevenly.
 _TRIAL_PHASES = 8
 _TRIAL_AMPLITUDES = (0.8, 1.0, 1.25, 1.6, 2.0)
 #: Sites on which these are tried.

@@ -192,7 +192,7 @@ def _corners(group: h5py.Group) -> Corners:
     models = []
     for name in sorted(name for name in group if name.startswith("model_")):
         part = group[name]
-        # Files from before libraries of circles had axes state no `sizes`.
+        # Files that are older than axes in libraries of circles have no attribute `sizes`.
         further = *(int(part.attrs[name]) for name in ("axis_weight", "variables")), int(part.attrs.get("sizes", 2))
         models.append(_checked(part, further, _complex(part, "numerator"), _complex(part, "denominator")))
     place, certificate = (np.asarray(group[key][()], dtype=np.float64) for key in ("place", "certificate"))

@@ -39,7 +39,7 @@ class Functions:
 def functions_of(mesh: QuarterMesh, light: Polarisation, order: int) -> Functions:
     """Number and evaluate the functions of a polynomial order, from 2, on the elements of the quarter.
 
-    The incident polarisation is normal to the mirror planes on which its tangential E vanishes.
+    ``light`` is the incident polarisation: tangential E vanishes on the mirror planes that it is normal to.
     """
     numbering = _Numbering(mesh, light, order)
     numbered = [numbering.of_element(quad) for quad in mesh.quads]
@@ -116,7 +116,7 @@ class _Numbering:
         for i, side in enumerate(quad.sides):
             axis, end = divmod(i, 2)
             of_e, of_z, sign = self._side(*side, orders[axis])
-            # Functions of a side: all along it, those of its end across it.
+            # A side has every function along it, and across it only the linear one that is 1 there.
             if axis == 0:
                 numbers[0][:, end], numbers[2][2:, end] = of_e, of_z
                 signs[0][:, end], signs[2][2:, end] = sign, sign
@@ -134,6 +134,7 @@ class _Numbering:
         return along_u, along_v, along_z
 
     def _side(self, begin: Point, end: Point, order: int) -> tuple[IntArray, IntArray, float]:
+        """Numbers of E along a side, shape (p,), and of E_z within it, shape (p - 1,), and the sign of both."""
         (one, sign), (other, of_end) = self._canonical(begin), self._canonical(end)
         if self._is_on_cut(begin) and self._is_on_cut(end):
             sign, sense = min(sign, of_end), one < other  # the middle of a turn is its own image
@@ -161,7 +162,7 @@ class _Numbering:
         return self._vertices[at], sign
 
     def _canonical(self, point: Point) -> tuple[Point, float]:
-        """The vertex whose functions serve at a point, and their sign; on the cut of a half, the turned image."""
+        """Vertex that numbers the functions at ``point``, and their sign: on a half's cut, the half turn's image."""
         centre = self._mesh.turned_about_nm
         if centre is None or not self._is_on_cut(point) or point[0] > centre[0] * (1.0 - 1e-9):
             return self._repeated(point), 1.0
@@ -198,4 +199,5 @@ class _Numbering:
 
 
 def _rounded(point: Point) -> Point:
+    """A point as a key: rounded, with 0 for -0."""
     return round(point[0], _DIGITS) + 0.0, round(point[1], _DIGITS) + 0.0

@@ -127,7 +127,7 @@ def order_efficiencies(cell: PillarCell, order: int, sides: Sequence[Sequence[tu
     """Power of the transmitted, then of the reflected orders over the incident power, for x and y light.
 
     Args:
-        cell: as of :func:`zero_order`.
+        cell: as in :func:`zero_order`.
         order: polynomial order, from 2.
         sides: transmitted and reflected orders (m, n), of the centred cell of two rows in a hexagonal lattice.
 

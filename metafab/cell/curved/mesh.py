@@ -87,7 +87,7 @@ class Quad:
 
     @property
     def sides(self) -> tuple[tuple[Point, Point], ...]:
-        """Begin and end of the sides bottom, top, left and right."""
+        """Start and end of the sides bottom, top, left and right."""
         a, b, c, d = self.corners_nm
         return (a, b), (d, c), (a, d), (b, c)
 
@@ -287,7 +287,7 @@ def _between(inner: Arc, outer: Arc, gathered: int) -> tuple[Quad, Quad]:
 def _around(
     arc: Arc, beside: Point, beyond: Point, above: Point, *, extra: tuple[int, int] = (0, 0)
 ) -> tuple[Quad, Quad]:
-    """The two elements between an arc and the points beside its begin, beyond its middle and above its end.
+    """The two elements between an arc and the points beside its start, beyond its middle and above its end.
 
     ``extra`` are the additional orders along the arc and across the gap.
     """

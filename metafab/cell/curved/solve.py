@@ -39,15 +39,15 @@ _CLAIMS = {4: (4e-3, 2.0), 5: (5e-4, 2.0), 6: (2e-4, 2.0), 7: (1e-4, 2.0), 8: (6
 _LOW_INDEX = 3.0
 #: Share of the change before the last that bounds the error of an ellipse from order 5 on, in cells of high and of low
 #: index. Beside a resonance at an index of 3.3 the changes to orders 4, 5 and 6 were 0.029, 6e-4 and 7e-4, and order 5
-#: was off by 1.3e-3. Where the last change was less than a twentieth of it, errors were at most 0.043 and 0.014 of it
-#: in 34 ellipses, 32 random.
+#: was off by 1.3e-3. In 34 ellipses, 32 random, where the last change was less than a twentieth of the one before,
+#: errors were at most 0.043 (high index) and 0.014 (low) of the one before.
 _BEFORE, _BEFORE_LOW = 0.1, 0.03
 #: Claims of rounded rectangles, whose elements differ in order. On 40 random ones, resonances among them, the error of
 #: order 4 was at most 0.26 of a change from order 3 above 1e-3; that of order 5 at most 0.3 of a change above 4e-4, but
 #: 0.73 of it in a pillar of index 4.1.
 _CLAIMS_ROUNDED = {**_CLAIMS, 4: (8e-4, 0.7), 5: (5e-4, 2.0)}
 #: Polynomial order of rounded rectangles of low index -> factor from the next change of a geometric series to the
-#: bound. It was measured on 18 random ones; that pillar of index 4.1 is off by 37 times that change.
+#: bound. It was measured on 18 random ones; the pillar of index 4.1 named above is off by 37 times that change.
 _SHRINKING = {5: 8.0}
 #: Claims of rings. On 30 random ones the errors of orders 4, 5 and 6 against order 8 were at most 0.53, 1.1 and 2.1 of
 #: the last change; on 100 others that of order 4 was 1.34 of it beside a resonance, and 3.7 at a change of 0.16; on 50
@@ -56,8 +56,8 @@ _CLAIMS_RING = {**_CLAIMS, 4: (6e-4, 4.0), 5: (4e-4, 2.0), 6: (4e-4, 2.5), 7: (2
 #: Claims of cross-sections other than ellipses.
 _CLAIMS_OF = {"rectangle": _CLAIMS_ROUNDED, "ring": _CLAIMS_RING}
 #: Ratio of the two sizes from which claims grow in proportion, and largest growth: elements are long where an elongated
-#: outline is bent most. Of 300 random ellipses six of the seven that stated least, 1.6 to 2.6 times their errors, had
-#: ratios of 4 to 12.
+#: outline is bent most. Of 300 random ellipses, the seven tightest bounds were 1.6 to 2.6 times the errors; six of them
+#: had ratios of 4 to 12.
 _LONG, _LONG_GROWTH = 2.5, 2.0
 #: Elements resolve waves guided in a film or cap where 2 p + 1 > phi + phi^(1/3), phi the phase over half the period in
 #: it (Ainsworth, SIAM J. Numer. Anal. 42, 553, 2004). On a film of 3.76, 2.4 wavelengths in a period, orders 4 and 5 of
@@ -96,7 +96,7 @@ def solve(
     Args:
         cell: a cell that :func:`metafab.cell.curved.mesh.is_treated` accepts.
         numerics: target error and largest order.
-        known: solutions of this cell by (order, 1), which are taken from there and added; for several targets.
+        known: cache of this cell's solutions, (order, 1) -> solution, read and extended: for calls of several targets.
 
     Raises:
         SolverError: a layer is singular, or an amplitude is not a finite number.
@@ -164,7 +164,7 @@ def diffraction(cell: PillarCell, numerics: CellNumerics) -> Diffraction:
     """Efficiencies of every order that leaves a cell, at the polynomial order that its amplitudes need.
 
     The cell is one that :func:`metafab.cell.curved.mesh.is_treated` accepts. The change of an efficiency bounds its
-    error as that of an amplitude does. Errors as of :func:`metafab.cell.curved.solve.solve`.
+    error as that of an amplitude does. Errors as in :func:`metafab.cell.curved.solve.solve`.
     """
     answer = solve(cell, numerics)
     assert isinstance(answer.details, CurvedDetails)

@@ -23,7 +23,7 @@ from metafab.core.errors import Fault, InputError
 
 #: Square in the middle of a pillar, over the pillar's size.
 _SQUARE = 0.45
-#: Sectors of half a pillar and of a whole one: the angles where they begin and end, and whether they do so along x.
+#: Sectors of half a pillar and of a whole one: angles where the arc begins and ends, and whether it runs along +x.
 _QUARTER = 0.25 * math.pi
 _HALF = ((0.0, _QUARTER, False), (3.0 * _QUARTER, _QUARTER, True), (4.0 * _QUARTER, 3.0 * _QUARTER, False))
 _WHOLE = (
@@ -81,7 +81,7 @@ def curved_layer(supercell: Supercell, lights: Sequence[Polarisation], resolutio
 
 def supercell_mesh(supercell: Supercell) -> QuarterMesh:
     """Elements of a block, or of the upper half of a row along x; InputError for a pillar that has none."""
-    # An element between two sites has two different sites at its ends.
+    # A single column is doubled: the elements between two sites must have different sites at their ends.
     sizes = np.tile(supercell.size_nm, (1, 2, 1)) if supercell.shape[1] == 1 else supercell.size_nm
     (n_y, n_x), period = sizes.shape[:2], supercell.cell.period_nm
     is_row = n_y == 1
@@ -97,7 +97,7 @@ def supercell_mesh(supercell: Supercell) -> QuarterMesh:
             faults = [Fault("shape", "rectangles, circles or ellipses for supercells by rcwa", outline)]
         if faults:
             raise InputError("supercell", [replace(fault, remedy="use meep") for fault in faults])
-        # Phases count from the middle of the supercell: that of the first of two equal sites.
+        # Phases count from the middle of the supercell as given, not of its doubled column.
         middle = (column + 0.5 - supercell.shape[1] / 2) * period[0], (row + 0.5 - n_y / 2) * period[1]
         quads += _site(cell, middle, solid=solid, is_half=is_row)
     ends = n_x * period[0], (0.5 if is_row else n_y) * period[1]

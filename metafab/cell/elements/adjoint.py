@@ -1,9 +1,10 @@
 """Derivatives of transmitted orders by the sizes of all pillars, by the adjoint of the solution in reverse.
 
 A linear functional L of the orders has dL = m^T (db - dA z) with A z = b the equations at both faces and A m the
-functional's weights (A is symmetric). That leaves two outer products for F of half the layer, which the doubling in
-reverse turns into weights of P and Q, and these into weights of the Gram matrices. The plane waves of the half spaces
-enter as fields at the faces. All sums run over elements, of which a size changes the pillar's own and its neighbours':
+functional's weights (A is symmetric). The derivative of L by F of half the layer
+(:class:`metafab.cell.elements.solve.FaceSystem`) is then a sum of two outer products; the doubling in reverse turns it
+into derivatives by P and Q, and these become derivatives by the Gram matrices. The plane waves of the half spaces enter
+as fields at the faces. All sums run over elements. A size changes only the pillar's element and the eight around it:
 their change is a central difference of closed forms at fixed numbers of functions and nodes.
 """
 
@@ -95,7 +96,7 @@ class _Solved:
     system: FaceSystem  #: Equations at both faces.
     fields: ComplexArray  #: Shape (2, N), e at both faces.
     inverse: Matrix  #: Shape (N, N), inverse of the Gram matrix of E.
-    lifted: Matrix  #: Shape (N, n_z), D S_eps^-1.
+    lifted: Matrix  #: Shape (N, n_z), D S_eps^-1 of :meth:`metafab.cell.elements.assembly.Grams.over_eps_z`.
 
     @classmethod
     def of(cls, supercell: Supercell, light: Polarisation, basis: Basis, order: IntArray) -> _Solved:
@@ -130,7 +131,7 @@ class _Adjoint:
         self._of_curl = -self._of_e_eps / k0**2
         self._of_e = -solved.inverse @ p_bar @ solved.inverse
         self._of_z: Matrix = solved.lifted.T @ p_bar @ solved.lifted / k0**2
-        # Fields of the plane waves at both faces, each the partner of a field of the layer.
+        # At each face, dA couples e with the multiplier: the plane waves of either are paired with the other.
         partners, amplitudes = [], []
         for n, pair in ((cell.n_in[axis], (near, near_m)), (cell.n_out[axis], (far, far_m))):
             eps = complex(permittivity(n))

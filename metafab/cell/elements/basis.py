@@ -57,7 +57,7 @@ class Basis:
     corner_sign: FloatArray
     most_waves: tuple[int, int]  #: Largest numbers (m_x, m_y) of the plane waves.
     nodes: IntArray  #: Shape (2, ...) over the mesh's elements, quadrature nodes along each side of an element.
-    #: Of E and of E_z, where only the functions with the parity of the light about the mirror along x are kept.
+    #: Folds of E and of E_z that keep only functions with the light's parity about the mirror along x; None keeps all.
     fold: tuple[Fold, Fold] | None = None
 
     @property

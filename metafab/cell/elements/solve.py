@@ -1,4 +1,4 @@
-"""Transmitted orders of a supercell: doubling of half the layer, then both faces at once; and the error of both.
+"""Transmitted orders of a supercell by doubling of half the layer and one system for both faces, with an error bound.
 
 Rows keep the mirror about their axis, so that each polarisation has half of the functions, and a quarter if the row is
 its own mirror image along x. Blocks solve both polarisations at once. The resolution rises until the bound on the error
@@ -37,7 +37,7 @@ _SHARE, _FLOOR = 0.5, 0.075
 _SHARE_CURVED, _SHARE_COARSE = 2.0, 5.0
 #: Resolution from which circles and ellipses are finely resolved: an order of 5.
 _CURVED_FROM = 4.0
-#: Most functions of a layer: ten complex matrices of twice this size fill 4 GB.
+#: Most functions of a layer: ten complex matrices of this size fill 4 GB.
 _MOST_FUNCTIONS = 5000
 #: Target error of each pillar in its own periodic cell.
 _SINGLE_CELL_ERROR = 1e-3
@@ -154,7 +154,7 @@ def exchanged_places(supercell: Supercell, light: Polarisation) -> IntArray:
 def _converged(
     supercell: Supercell, lights: Sequence[Polarisation], numerics: ElementNumerics
 ) -> tuple[ComplexArray, float]:
-    """Amplitudes as of :func:`orders_at`, and the bound on their relative error."""
+    """Amplitudes as from :func:`orders_at`, and the bound on their relative error."""
     _require_one_index(supercell)
     last: ComplexArray | None = None
     error = np.inf

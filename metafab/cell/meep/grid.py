@@ -25,8 +25,8 @@ PLANE_NODES = 3
 _HALF_PERIODS = range(5, 10)
 #: Time step as a fraction of the Courant limit.
 _STABILITY = 0.95
-#: Time step over pixel on plain grids, where the structure begins a quarter of a pixel from the nodes: no point of a
-#: pixel lies there.
+#: Time step over pixel on plain grids, and distance there from a node to where the structure begins, in pixels: the Yee
+#: grid has no point at a quarter of a pixel.
 COURANT, _OFFSET = 0.5, 0.25
 
 
@@ -56,7 +56,8 @@ class Plan:
     def amplitudes(self, limit: NDArray[Any], incident: NDArray[Any]) -> tuple[complex, complex]:
         """(t, r) of the zero order, in the planes of the conventions.
 
-        ``limit``, shape (2,), is that of the near and the far monitor, ``incident``, shape (2,), that of the empty run.
+        ``limit`` and ``incident``, each of shape (2,), are the zero orders at the near and the far monitor, of the run
+        with the structure and of the empty run.
         """
         at_pillar = self.incident_at_pillar(incident)
         t = complex(limit[1]) * cmath.exp(-1j * self.k_out[0] * self.far_um) / at_pillar
@@ -197,7 +198,7 @@ def smoothed_plan(
         pixels: pixels of the period along x and y.
         pixel_um: grid spacing.
         height_um: height of the structure.
-        blocks: the structure, given the z at which it begins and one outside of the cell.
+        blocks: returns the structure for the z at which it begins and a z outside of the cell.
         components: recorded components of E.
         orders: recorded orders.
         across: wave numbers of the orders along x and y, rad/um.
@@ -242,9 +243,9 @@ def smoothed_plan(
 
 def _courant(cell: PillarCell, axes: tuple[Axis, Axis, Axis]) -> float:
     """Time step over pixel, at the fastest point of the stretched grid (Taflove and Hagness 2005, Eq. 4.60)."""
-    slowest_n = min(n.real for n in (*cell.n_in, *cell.n_out, complex(cell.n_ambient)))
+    lowest_n = min(n.real for n in (*cell.n_in, *cell.n_out, complex(cell.n_ambient)))
     inverse = sum(1.0 / min(axis.stretch) ** 2 for axis in axes)
-    return min(0.5, _STABILITY * slowest_n / math.sqrt(inverse))
+    return min(0.5, _STABILITY * lowest_n / math.sqrt(inverse))
 
 
 def _epsilon(cell: PillarCell) -> dict[tuple[int, int, int], tuple[complex, ...]]:

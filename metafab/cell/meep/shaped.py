@@ -50,7 +50,7 @@ def shaped_plan(
 ) -> Plan:
     """FDTD run of one polarisation on the grid with ``member`` times the pixels of the coarsest.
 
-    Errors and the last two arguments as of :func:`metafab.cell.meep.grid.plan`.
+    Errors and the last two arguments as in :func:`metafab.cell.meep.grid.plan`.
     """
     n_x, n_y = (member * pixels for pixels in base_pixels(cell))
     pixel = cell.period_nm[0] * 1e-3 / n_x

@@ -94,7 +94,7 @@ class MeepSettings:
     """Numerics of FDTD; InputError for fewer than two members, or members that do not ascend from 1."""
 
     #: Grids of the cell's family, coarse to fine, at least two. Member j has 10 j to 18 j pixels a period, of shaped
-    #: cells 12 j or more. From the third on, finer ones are skipped once the target error is reached.
+    #: cells 12 j or more. Once the target error is reached with three or more, finer ones are skipped.
     members: tuple[int, ...] = (1, 2, 3, 4)
     #: A run ends when its extrapolated orders change by at most this, relative to the incident wave.
     decay: float = 1e-4
@@ -115,7 +115,7 @@ class MeepDetails(SolverDetails):
     error_resolution: float  #: Error of the extrapolation to vanishing pixels.
     error_decay: float  #: Error of the fields' remaining decay.
     last_correction: float  #: Largest change of any amplitude from the finest grid to the limit.
-    fdtd_seconds: float  #: Time of all runs, kept ones as when they ran.
+    fdtd_seconds: float  #: Time of all runs; for a run that was kept, the time that it took then.
     simulated_optical_periods: float  #: Length of the longest run.
 
 

@@ -119,7 +119,7 @@ def refined_orders(
     Where all walls lie on nodes of all grids the result is the limit of the coarsest and the finest grid in h^2.
     Elsewhere it is that of the finest grid: the error then changes with the places of the walls within their pixels,
     and limits are worse (0.11 to 0.43 on a row of three pillars, whose finest grid of 24 pixels was off by 0.09). The
-    error is the step from the finest grid to that limit, and the remaining share of the fields.
+    error is the step from the finest grid to that limit, plus that of the fields' remaining decay.
 
     ``pixels_per_period`` are two or more grids, ascending, ``decay`` that of :class:`SupercellSettings`. ``pool`` and
     errors as in :func:`solve_supercell`.

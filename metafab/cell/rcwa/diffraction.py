@@ -35,8 +35,8 @@ Efficiencies = dict[Order, FloatArray]
 class DiffractedOrder:
     """One order that leaves on one side."""
 
-    #: (m, n): its wave vector in the plane is that of the incident light plus (m / period_x, n / period_y) turns; in a
-    #: hexagonal lattice, that of the centred cell of two rows: period_y is then two row distances.
+    #: (m, n): its wave vector in the plane is that of the incident light plus 2 pi (m / period_x, n / period_y); in a
+    #: hexagonal lattice the cell is the centred one of two rows, so that period_y is two row distances.
     order: Order
     #: Angle from the axis in the medium that the order leaves into; by the index along x if it has several.
     polar_deg: float
@@ -120,10 +120,10 @@ def efficiencies(
             both = [(m, n) for m in _orders(u, u.label_a) for n in _orders(v, v.label_a)]
             both += [(m, n) for m in _orders(u, u.label_b) for n in _orders(v, v.label_b)]
             for side, powers in zip(sides, solved.shares_of_power(), strict=True):
-                for (m_bound, n_bound), power in zip(both, powers, strict=True):
-                    for m in m_bound:
-                        for n in n_bound:
-                            side[m, n] = side[m, n] + power / (len(m_bound) * len(n_bound))
+                for (all_m, all_n), power in zip(both, powers, strict=True):
+                    for m in all_m:
+                        for n in all_n:
+                            side[m, n] = side[m, n] + power / (len(all_m) * len(all_n))
     return dict(sides[0]), dict(sides[1])
 
 

@@ -116,7 +116,7 @@ def solved_classes(
     by_modes: bool = False,
     keep: bool = False,
 ) -> Iterator[SolvedClass]:
-    """Solve the symmetry classes of ``cell`` one by one; arguments as of :func:`zero_order`."""
+    """Solve the symmetry classes of ``cell`` one by one; arguments as in :func:`zero_order`."""
     for case in symmetry_classes(cell, orders, formulation, steps):
         incoming, outgoing = case.outer_waves()
         yield SolvedClass(case, incoming, outgoing, *_solve(case, incoming, outgoing, by_modes=by_modes, keep=keep))

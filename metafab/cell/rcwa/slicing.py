@@ -42,7 +42,7 @@ class Slicing:
 def smooth(cell: PillarCell, orders: int, formulation: Formulation, steps: int, *, keep: bool = False) -> ZeroOrder:
     """Jones matrices of ``cell`` at one truncation, extrapolated from ``steps`` / 2 and ``steps``; R + T stays exact.
 
-    An upright pillar is solved once, and its classes are kept if ``keep`` is true. Arguments and errors as of
+    An upright pillar is solved once, and its classes are kept if ``keep`` is true. Arguments and errors as in
     :func:`metafab.cell.rcwa.jones.zero_order`.
     """
     if not cell.is_sloped:
@@ -74,8 +74,8 @@ def slicing(cell: PillarCell, numerics: CellNumerics) -> Slicing:
         return zero_order(cell, min(_ORDERS, numerics.max_orders), numerics.formulation, count)
 
     if steps is not None:
-        halves = cut(steps // 2), cut(steps), cut(2 * steps)
-        coarse, fine = _extrapolated(*halves[:2]), _extrapolated(*halves[1:])
+        cuts = cut(steps // 2), cut(steps), cut(2 * steps)
+        coarse, fine = _extrapolated(*cuts[:2]), _extrapolated(*cuts[1:])
         # The error at 2 n is at most the change, so that the error at n is at most twice the change.
         return Slicing(steps, 2.0 * _MARGIN * distance(coarse, fine))
     steps, last = 2, cut(2)

@@ -166,7 +166,7 @@ def _outline(cell: PillarCell, layer: Slice, orders: int) -> Rectangles:
 
 
 def _staggered_axes(cell: PillarCell, orders: int, formulation: Formulation) -> _Axes:
-    """Outlines of the pillar, and of the gap at its ends, in the centred cell of two rows of a hexagonal lattice."""
+    """Bases of the outlines of the pillar and of the gap around it, in the centred cell of a hexagonal lattice."""
     faults = cell.untreated("a hexagonal lattice by RCWA", treated=("is_staggered",))
     if faults:
         raise InputError("cell", faults)

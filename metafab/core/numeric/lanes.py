@@ -28,7 +28,7 @@ ELEMENT = 2 * LANES
 #: Numba's helpers that write loops and variables; some of them lack type annotations.
 _CODE: Any = cgutils
 _VECTOR = ir.VectorType(ir.DoubleType(), LANES)
-#: Lets a processor that can do so round a product and a sum once.
+#: Allows fused multiply-add, which rounds a product and a sum once.
 _FUSED = ("contract",)
 
 

@@ -21,7 +21,7 @@ _PACKAGE = Path(__file__).parents[2]
 _LONG_STRING = r'"""(?:[^"\\]++|\\.|"(?!""))*+"""'
 _STRING = rf"""{_LONG_STRING}|'''(?:[^'\\]++|\\.|'(?!''))*+'''|"(?:[^"\\\n]++|\\.)*+"|'(?:[^'\\\n]++|\\.)*+'"""
 #: Strings, colons before docstrings, ends of lines before blank ones, and comments, in code as the formatter writes it;
-#: the group that matches is what counts. A library's modules take 0.03 s, a tenth of a parse by Python.
+#: the group that matches is kept. A library's modules take 0.03 s, a tenth of a parse by Python.
 _WORDS = re.compile(
     rf"({_STRING})|(:)(?:  \#[^\n]*+)?\n(?:\s|\#[^\n]*+\n)*+[rR]?{_LONG_STRING}(?=\n)"
     r"|(\n)(?:[ \t]*+(?:\#[^\n]*+)?\n)*+|  \#[^\n]*+()",
@@ -31,7 +31,7 @@ _WORDS = re.compile(
 
 @cache
 def code_sha256(rooms: tuple[str, ...]) -> str:
-    """Hash of the source of ``rooms``, of ``core`` and of ``steps``; a change makes results stale."""
+    """Hash of the source of the packages ``rooms``, of ``core`` and of ``steps``; a change makes results stale."""
     digest = sha256(__version__.encode())
     for room in ("core", "steps", *rooms):
         digest.update(_room_sha256(room))
@@ -40,9 +40,9 @@ def code_sha256(rooms: tuple[str, ...]) -> str:
 
 @cache
 def sources_sha256(modules: tuple[str, ...], rooms: tuple[str, ...]) -> str:
-    """Hash of the source of ``modules``, of every module of this package that they import, and of ``rooms``.
+    """Hash of the source of ``modules``, of every module of metafab that they import, and of the packages ``rooms``.
 
-    The version of this package does not count: all code that makes the result does.
+    The version of metafab does not count: all code that makes the result does.
     """
     digest = sha256(_files_sha256(sources_of(modules)))
     for room in rooms:

@@ -40,10 +40,10 @@ Degrees = tuple[int, int]
 _ROUNDS = 3
 # Largest weight over the median weight, so that no single sample dominates the fit.
 _LARGEST_WEIGHT = 1e3
-# Weight of a slope over a span of -1 to 1, relative to a value: from 72 and 88 sizes of silicon at 800 nm, models of
-# nine pairs of degrees were best with 0.2; with 0.05 they were off by up to twice as much. Slopes f' above 1 / 0.2
-# weigh 1 / |f'|: a solver's error that shifts a resonance is f' times the shift in a value, and about f'^2 times the
-# shift in a slope. Without this rule amorphous silicon at 940 nm took 344 sizes, with it 229.
+# Weight of the equation of a slope (sizes scaled to -1..1) relative to that of a value: from 72 and 88 sizes of silicon
+# at 800 nm, models of nine pairs of degrees were best with 0.2; with 0.05 they were off by up to twice as much. Slopes
+# f' above 1 / 0.2 weigh 1 / |f'|: a solver's error that shifts a resonance is f' times the shift in a value, and about
+# f'^2 times the shift in a slope. Without this rule amorphous silicon at 940 nm took 344 sizes, with it 229.
 _SLOPE_WEIGHT = 0.2
 # Penalty on the denominator's constant, relative to the norm of all samples, and its growth per degree.
 _PENALTY, _PENALTY_GROWTH = 1e-7, 1.8

@@ -52,7 +52,7 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
     for axis, (light, local) in enumerate(zip(POLARISATIONS, (known.t_xx, known.t_yy), strict=True)):
         corrections = block_corrections(neighbours, size_nm, axis)
         amplitude = supercell.local_period(order, local + corrections.sum(axis=0))
-        # The model does not conserve energy: no more light leaves than arrives.
+        # The model does not conserve energy: amplitudes are scaled down where more light would leave than arrives.
         both = np.zeros((len(order), 2), dtype=np.complex128)
         both[:, axis] = amplitude
         transmitted = float(np.sum(supercell.relative_power(order, both, light)))

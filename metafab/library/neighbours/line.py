@@ -7,14 +7,14 @@ the line. They obey
 
 The symmetric matrix H and the source c (even modes only) depend on the size s, along the line and across it; the hop W
 is constant. Reciprocity makes the left side symmetric. The mirror makes W^T = Pi W Pi, with Pi = +1 for even and -1 for
-odd modes. Light still reaches far: it is guided from site to site. Pillar m transmits
+odd modes. Light reaches far although only adjacent sites couple: it is guided from site to site. Pillar m transmits
 
     t_m = t(s_m) + y_m - y(s_m),      y_m = e(s_m) a_m + g(s_{m-1}) a_{m-1} + Pi g(s_{m+1}) a_{m+1}.
 
 Here t(s) is the library's value and y(s) the same sum in a line of equal pillars of size s, so that equal pillars are
 exact. It reflects r_m, likewise from r(s), with e' and g' of its own. Reciprocity ties the source to them: light along
-the axis excites what radiates along the axis, c = e' + 2 g' of the even modes. H, e, g, e' and g' are polynomials of
-the size. Their coefficients and the hop are the parameters.
+the axis excites what radiates along the axis, c = e' + 2 g' of the even modes. H and the taps e, g, e' and g' are
+polynomials of the size. Their coefficients and the hop are the parameters.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class LineShape:
 class LineModel:
     """Parameters of a chain of coupled modes."""
 
-    shape: LineShape  #: Numbers of modes, hops and terms.
+    shape: LineShape  #: Numbers of modes and terms.
     along_nm: Span  #: Range of sizes along the row that maps to -1..1.
     across_nm: Span  #: Range of sizes across the row that maps to -1..1.
     site: ComplexArray  #: Shape (terms, n_pairs), coefficients of the free elements of H.
@@ -205,7 +205,7 @@ def paired(model: LineModel) -> tuple[LineModel, ComplexArray]:
     """The same chain in other modes, whose hop couples each mode to itself, by 1, and to one mode of the other parity.
 
     Returns:
-        The chain, and elements of its hop, shape (n,), from odd mode k to even mode k; back it is the opposite number.
+        The chain, and elements of its hop, shape (n,), from odd mode k to even mode k; those back are minus these.
 
     Raises:
         ValueError: the hop among the even modes, among the odd modes, or between them is singular or has equal

@@ -131,7 +131,7 @@ class _Chain(NamedTuple):
 
 
 class _Space(NamedTuple):
-    """Lane arrays of one group of lines. Arrays from which products are subtracted to add them hold negated values."""
+    """Lane arrays of one group of lines. The kernels can only subtract products, so that some sums are held negated."""
 
     sides: int  #: Right sides: 1, or 2 with the adjoint one.
     inverse: FloatArray  #: -D_m^-1, upper triangle, modes x modes a site.

@@ -1,4 +1,4 @@
-"""Training rows: which pillars stand in them, and their transmitted orders by spectral elements.
+"""Training rows: their pillars, and their reflected and transmitted orders by spectral elements.
 
 Half of the rows hold random sizes. In the other half the target phases of both polarisations change steadily along the
 row, as in a lens, and the sizes are among the best of the library for them. Short rows alone see the guided waves at a

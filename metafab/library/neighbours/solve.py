@@ -13,7 +13,7 @@ import numpy as np
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.library.neighbours.line import IntArray, LineModel
 
-#: Steps of power iteration that find the norm of an inverse, from the amplitudes themselves.
+#: Steps of the power iteration for the norm of an inverse, which starts from the amplitudes.
 _POWER_STEPS = 20
 
 
@@ -174,10 +174,12 @@ def _gathered(
     """Derivatives of one face's light by :attr:`LineModel.vector`, shape (lines, sites, n).
 
     Args:
-        face: 0 for reflected, 1 for transmitted light. by_matrices: by the site matrix H, shape (lines, sites, terms,
-        pairs), and by the hop W, shape (lines, sites, n_hop_pairs). by_own: by e or e' of this face, shape (lines,
-        sites, terms, even). by_side: by g or g' of this face, shape (lines, sites, terms, modes). by_source: by c,
-        shape of ``by_own``; it moves with e' and g'.
+        face: 0 for reflected, 1 for transmitted light.
+        by_matrices: by the site matrix H, shape (lines, sites, terms, pairs), and by the hop W, shape (lines, sites,
+            n_hop_pairs).
+        by_own: by e or e' of this face, shape (lines, sites, terms, even).
+        by_side: by g or g' of this face, shape (lines, sites, terms, modes).
+        by_source: by c, shape of ``by_own``; it moves with e' and g'.
     """
     d_own, d_side = (np.zeros((2, *values.shape), dtype=np.complex128) for values in (by_own, by_side))
     d_own[face], d_side[face] = by_own, by_side

@@ -16,7 +16,7 @@ from metafab.library.neighbours.open_lines import (
     open_line_slopes,
 )
 
-#: Neighbours that a window needs on each side. The coupling falls by e within about five sites; measured on random
+#: Neighbours that a window needs on each side. The coupling falls to 1/e within about five sites; measured on random
 #: sizes, corrections with 24 and with 48 neighbours differ by less than 1e-3 of the field.
 HALO_SITES = 24
 

@@ -96,7 +96,7 @@ class Interval:
         return np.asarray(rise * (plain + 0.5 * self.amplitude * (up + down)))
 
     def u_at(self, x: float) -> float:
-        """The u at which x has risen by ``x``, 0 < x < ``rise``."""
+        """The u at which the coordinate has risen by ``x`` since ``start``, 0 < x < ``rise``."""
         from scipy.optimize import brentq  # 0.2 s of import that upright pillars do without
 
         def excess(u: float) -> float:

@@ -56,6 +56,7 @@ def rectangles(cell: PillarCell, width_nm: float, length_nm: float, orders: int)
 
 
 def _rounded(cell: PillarCell, width_nm: float, length_nm: float, steps: int) -> Rectangles:
+    """Ellipse, or rectangle with rounded corners, as nested rectangles whose union has the smooth outline's area."""
     angle = np.arange(1, steps + 1) * (math.pi / (2 * steps + 1))
     across, along = np.cos(angle - 0.5 * angle[0]), np.sin(angle)
     area = float(np.sum(across * np.diff(along, prepend=0.0)))

@@ -90,8 +90,8 @@ def by_slabs(
                 phi, gamma = both
                 largest = max(largest, np.abs(phi).max(), np.abs(gamma).max(), np.abs(v).max())
                 solved = np.linalg.solve(phi @ u - 1j * v, np.hstack([gamma, phi @ e_lit - 1j * h_lit]))
-                onward, turned = solved[:, :n], solved[:, n:]
-                v, h_lit = 1j * (phi - gamma @ (u @ onward)), 1j * (gamma @ (u @ turned - e_lit))
+                onward, constant = solved[:, :n], solved[:, n:]  # T and c
+                v, h_lit = 1j * (phi - gamma @ (u @ onward)), 1j * (gamma @ (u @ constant - e_lit))
                 u, e_lit = np.eye(n, dtype=np.complex128), np.zeros_like(e_lit)
                 passed.append(onward)
             # e = U w + e_s = E (a + r) and h = H (a - r) with incident and reflected amplitudes a and r, a = 0 for
