@@ -1,4 +1,4 @@
-"""Measured sizes of pillars of a mask, from a table of places and sizes as of electron micrographs."""
+"""Measured sizes of pillars of a mask, from a table of places and sizes, such as one from electron micrographs."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from metafab.layout import PillarMap
 _SIZES, _DIAMETER = ("width_nm", "length_nm"), "diameter_nm"
 #: Largest median ratio of measured and drawn sizes: beyond it the unit is wrong.
 _LARGEST_RATIO = 5.0
-#: Largest median distance of the places from their pillars along an axis, periods: beyond it, some have the size of the
-#: next one.
+#: Largest median distance of the places from their pillars along an axis, periods: beyond it, some sizes are given to
+#: the next pillar.
 _LARGEST_OFFSET = 0.25
-#: Sizes belong to pillars a site on if they spread by less than this share about those.
+#: Sizes belong to pillars one site on if they spread about those by less than this share of their spread here.
 _BETTER = 0.5
-#: Fewest pillars that show it.
+#: Fewest pillars for that comparison.
 _ENOUGH = 8
 
 

@@ -37,8 +37,8 @@ from metafab.spec import UnitCell
 #: modes 0.036, 6 + 3 modes 0.077. Degree 4 in place of 3 was worse.
 SHAPES = (LineShape(even=4, odd=3, degree=3), LineShape(even=4, odd=4, degree=3))
 #: Weight of reflected light in the fit, for light along the row and across it. Along, it lowered the error from 0.106
-#: to 0.082 on rows of random sizes and from 0.019 to 0.016 on periods of the lens. Across, with reflected light the error
-#: on these periods was 0.09 from random parameters and 0.028 from a fitted chain, no better than without.
+#: to 0.082 on rows of random sizes and from 0.019 to 0.016 on periods of the lens. Across, with it the error on these
+#: periods was 0.09 from random parameters, and 0.028 from a fitted chain: no better than without reflected light.
 _REFLECTED = (0.5, 0.0)
 #: Weight of the rows with steady phases in the fit. Lenses consist of such rows, and their residuals are three to eight
 #: times smaller than those of random sizes.

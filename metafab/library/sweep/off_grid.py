@@ -94,7 +94,7 @@ class OffGridSampler:
         )
 
     def sample_disagreement(self, tolerance: float) -> OffGridSampling:
-        """Solve sizes off the grid until the models agree to ``tolerance`` between its sizes, too."""
+        """Solve sizes off the grid until the models agree to ``tolerance`` between the grid's sizes, too."""
         grid, fine, sampling = self.grid, self.fine, self._sampling
         models, factor = sampling.models, sampling.safety_factor
         if models is None:

@@ -1,6 +1,6 @@
 """Distances between the lenses and everything beside them.
 
-Boxes (left, bottom, right, top) that touch are judged by their polygons where these are known: those of included cells.
+Boxes (left, bottom, right, top) that touch are judged by their polygons where these are known, as for included cells.
 Polygons nearer than one database unit touch.
 """
 

@@ -59,7 +59,8 @@ def require_clear_kit(
         around: description and rectangles, shape (n, 4), of each kind of shapes around the lenses.
 
     Raises:
-        InputError: naming both; a structure beyond the frame; or a tone in which bars would be printed as trenches.
+        InputError: a structure is too near (the message names both) or beyond the frame, or the mask's tone would print
+            bars as trenches.
     """
     if design.mask.kit is None:
         return
