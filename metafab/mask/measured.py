@@ -60,7 +60,7 @@ class MeasuredTable:
             x, y = self.place_um[missing][0]
             got = f"{int(missing.sum())} of {missing.size} without one, such as ({x:g}, {y:g}) um"
             expected = "a pillar of the mask within half a period"
-            raise InputError.single(str(self.path), "places", expected, got, "from the axis?")
+            raise InputError.single(str(self.path), "places", expected, got, "are they from the axis of the lens?")
         drawn_nm = pillars.size_nm()[pillars.to_array()[row, column]]
         ratio = float(np.median(self.size_nm / drawn_nm))
         if not 1.0 / _LARGEST_RATIO < ratio < _LARGEST_RATIO:

@@ -183,7 +183,8 @@ class MaskSums:
         loads, times = [], []
         field_share = self._twice_area_in_dbu / max(1, int(self._twice_area_in_dbu.sum()))
         for dose, area_um2 in zip(doses, areas_um2, strict=True):
-            grown = area_um2 / plain_um2 if plain_um2 else 0.0  # A bias changes the shots of a Gaussian beam alike.
+            # A bias changes the shots of a Gaussian beam in proportion to the area.
+            grown = area_um2 / plain_um2 if plain_um2 else 0.0
             scale = grown if mask.exposure.shot_pitch_nm is not None else 1.0
             loads.append(LensLoad(dose, area_um2, trapezoids, round(shots * scale) if counted else None))
             settling_s = self._load_in[0] * mask.exposure.settle_shape_us * 1e-6

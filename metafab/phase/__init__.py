@@ -8,7 +8,7 @@
 - ``jones_target``  target Jones matrices of a full-Stokes lens: six states of polarisation, six places
 - ``store``      ``phase.h5``: phases sampled over the aperture
 
-In: a Design, or plain numbers. Out: a PhaseProfile for the layout room; radians, not wrapped.
+In: a Design, or plain numbers. Out: a PhaseProfile for :mod:`metafab.layout`; radians, not wrapped.
 """
 
 from typing import TYPE_CHECKING

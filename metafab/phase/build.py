@@ -41,9 +41,9 @@ _BLIND_DEPTHS = 10
 _SEARCH_SAMPLES = 64
 #: Places along a side of the aperture at which the mean slope of a target is taken.
 _SLOPE_PLACES = 128
-#: Periods over which the slope of a formula, and at least over which that of an array, is taken. Over four periods a
-#: jump by half a turn, as at an outline, adds an eighth of a turn from pillar to pillar, and levels count as the slope
-#: that they approximate.
+#: Periods over which the slope of a formula is taken, and least number of periods for that of an array. Over four
+#: periods a jump by half a turn, as at an outline, adds an eighth of a turn from pillar to pillar, and levels count as
+#: the slope that they approximate.
 _LOCAL, _WINDOW = 1e-3, 4.0
 #: Relative rounding of a phase step of exactly half a turn from pillar to pillar.
 _ROUNDING = 1e-6
@@ -236,7 +236,7 @@ def _with_rotation(
 
 
 def _vergences(design: Design, depths_m: Sequence[float], count: int) -> tuple[FloatArray, FloatArray]:
-    """Even vergences (1/m) from the first to the last depth, and the rim defocus (rad) at each."""
+    """Evenly spaced vergences (1/m) from the first to the last depth, and the rim defocus (rad) at each."""
     vergence = np.linspace(1.0 / depths_m[0], 1.0 / depths_m[-1], count)
     with np.errstate(divide="ignore"):  # The farthest depth may be infinite.
         depth_m = 1.0 / vergence
@@ -306,7 +306,7 @@ def undersampled_share(design: Design) -> float:
     There it turns by more than pi from pillar to pillar, so that a flatter phase, with one turn per pillar less, has
     the same values and takes the light: the slope lies beyond the first Brillouin zone of the lattice. The larger share
     of both polarisations counts. The slope of an array is the mean of its steps from sample to sample over a few
-    periods, since the interpolation between them is uneven. Terms with jumps, as helices and holograms, are left
+    periods, since the interpolation between them is uneven. Terms with jumps, such as helices and holograms, are left
     out. An unusable array raises InputError.
     """
     period_um = 1e-3 * np.array(design.unit_cell.cell.period_nm)

@@ -146,7 +146,7 @@ class Scene(Checked):
             yield "`bit_depth` and `hot_pixels` need `full_well_e`"
         for name, used_s in (("exposure_s", self.exposure_s), ("row_time_s", self.row_time_s * self.field_px[0])):
             if used_s > self.frame_interval_s:
-                yield f"`{name}` must leave a frame no longer than `frame_interval_s`, got {used_s:g} s"
+                yield f"a frame must last at most `frame_interval_s`, but its `{name}` takes {used_s:g} s"
         if any(piece.depth_m + self.end_s * piece.velocity_m_per_s[2] <= 0.0 for piece in self.objects):
             yield "`velocity_m_per_s` takes an object through the lens before the last frame's end"
 

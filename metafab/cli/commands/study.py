@@ -16,8 +16,8 @@ from metafab.core.errors import InputError
 class Alternative:
     """A further choice of zones and exponent."""
 
-    zones: int  #: Number of zones L of Eq. 2.
-    exponent: float  #: Exponent epsilon of Eq. 2.
+    zones: int  #: Number L of spiral zones.
+    exponent: float  #: Exponent epsilon of the zones' radii.
     rotation_deg: float  #: Rotation of the main lobe over the range of depths.
     relative_error: float  #: Bound of the relative depth error, mean over the range.
 

@@ -99,8 +99,8 @@ def included_cells(design: Design, around: tuple[Surroundings, ...]) -> tuple[In
 
     InputError if a file or a cell is missing, a corner lies off the grid, a layer holds pillars, field, or chip
     features, or a polygon touches a lens, another feature, or another included cell, or lies beyond frame and dicing
-    street without ``beyond_street``; or if a cell contains itself, is nested deeper than the limit, or holds more shapes
-    and texts than the limit.
+    street without ``beyond_street``; or if a cell contains itself, is nested deeper than the limit, or holds more
+    shapes and texts than the limit.
     """
     cells = tuple(_read(design, number, item) for number, item in enumerate(design.mask.include))
     for number, cell in enumerate(cells):

@@ -1,4 +1,4 @@
-"""Rotation of a helix: the theory of Eq. 2, and the main lobe measured in a PSF.
+"""Rotation of a helix: the theory of Eq. 2 of Shen 2023 (spiral zones), and the main lobe measured in a PSF.
 
 In Eq. 2 with exponent 1/2 the mean u^2 of the zone of charge l is (l - 1/2) / L, so a rim defocus W adds W l / L to its
 phase, up to a constant: exp(i l (phi + W / L)) is the mask turned by -W / L, and the PSF turns with it. W falls with
@@ -37,7 +37,7 @@ def rotation_deg_per_dioptre(zones: int, aperture_radius_um: float, wavelength_u
 
 
 def ring_rotation(zones: int, exponent: float) -> tuple[float, float]:
-    """Radius and rotation rate of the main lobe of Eq. 2 in focus, from one integral a zone; two zones or more.
+    """Radius and rotation rate of the plain spiral's main lobe in focus, from one integral a zone; two zones or more.
 
     The radius is in optical units, the rate in rad per rad of rim defocus (-1 / L for many zones at exponent 1/2).
     """

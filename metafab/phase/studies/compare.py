@@ -1,8 +1,8 @@
 """Cramer-Rao bounds of depth for several masks at equal aperture and equal light, at the level of the pupil.
 
 Two sources: a point of known position and brightness, and a patch of unknown texture. A lens and a double helix locate
-the point, but give no information about the texture: the two images of their pair are equal, or equal up to a constant
-mirror. For a written mask, :mod:`metafab.information.fisher` computes the same bounds.
+the point, but give no information about the texture: the two images of their pair are equal, or equal up to a
+reflection that does not depend on depth. For a written mask, :mod:`metafab.information.fisher` computes these bounds.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class DepthBounds:
 def reference_masks(pupil: Pupil, zones: int, exponent: float) -> dict[str, ComplexArray]:
     """Pupil fields, shape (2, n), of masks for comparison, by name.
 
-    A standard lens, the plain spiral of Eq. 2, and the double helix of Pavani and Piestun (2008).
+    A standard lens, the plain spiral of Shen 2023 (Eq. 2), and the double helix of Pavani and Piestun (2008).
     """
     terms: dict[str, Term] = {
         "plain spiral": SpiralZonesPhase(zones=zones, exponent=exponent, radius_um=1.0),

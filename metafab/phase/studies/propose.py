@@ -1,4 +1,7 @@
-"""Choice of [L, epsilon] for a range of depths and its noise: few zones turn fast, many turn slowly and reach far."""
+"""Choice of [L, epsilon] of spiral zones (Eq. 2 of Shen 2023) for a range of depths and its noise.
+
+Few zones turn fast, many turn slowly and reach far.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +33,8 @@ _LARGEST_TURN_DEG = 330.0
 class Proposal:
     """One choice of [L, epsilon] over a range of depths."""
 
-    zones: int  #: L of Eq. 2.
-    exponent: float  #: epsilon of Eq. 2.
+    zones: int  #: L, number of spiral zones.
+    exponent: float  #: epsilon, exponent of the zones' radii.
     focus_depth_m: float  #: Depth in focus on the sensor, the middle of the range in vergence.
     #: Turn of the main lobe from the nearest to the farthest depth, measured at the level of the pupil.
     rotation_deg: float

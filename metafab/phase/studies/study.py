@@ -39,7 +39,7 @@ _POINT_BACKGROUND_E = 5.0
 
 @dataclass(frozen=True)
 class LobeOverDepth:
-    """The main lobe of a design and of the plain spiral of Eq. 2, over one full turn."""
+    """The main lobe of a design and of the plain spiral of Shen 2023 (Eq. 2), over one full turn."""
 
     vergence_per_m: FloatArray  #: Shape (n,), vergence of the object relative to the focus: 1/depth - 1/focus depth.
     design: MainLobe  #: Measured on the design's mask, n depths.

@@ -22,7 +22,7 @@ class Carrier(PolarisedTerm):
 
 @dataclass(frozen=True, kw_only=True)
 class LensPhase(Carrier):
-    """On-axis hyperbolic lens: -k (sqrt(r^2 + s^2) - s), plus this term with a finite object distance."""
+    """On-axis hyperbolic lens: -k (sqrt(r^2 + s^2) - s), and for a finite object distance g likewise with g for s."""
 
     wavelength_um: float  #: Vacuum wavelength.
     image_distance_um: float  #: Distance s of the image (the focal length for an object at infinity).
