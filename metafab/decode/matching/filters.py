@@ -22,11 +22,12 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.spectra import independent_samples
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import Progress
+from metafab.decode.matching.bias import unbiased, unbiased_places
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.filter_basis import FilterBasis, frequencies, low_rank
 from metafab.decode.matching.levels import Levels, high_pass
 from metafab.decode.matching.mixing import mixed_products
-from metafab.decode.matching.space_variance import compensated
+from metafab.decode.matching.space_variance import compensated, field_gradient, window_offsets
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import Downsampling
 from metafab.information.fisher import twin_information
@@ -84,8 +85,12 @@ class CrossFilters:
         grid = calibration.grid
         step = step or coarsest_step(calibration)
         downsampling = Downsampling(step, grid.shape, grid.margin)
-        filters, power = _cross_filters(calibration, vergences_per_m, step, compensate)
+        steps = np.linspace(vergences_per_m[0], vergences_per_m[-1], 2 * vergences_per_m.size - 1)
+        transfer = _transfer(calibration, steps, step)
+        filters, power = _cross_filters(calibration, transfer[:, ::2], step, compensate)
         basis, of_field_points = low_rank(filters, power, step, basis_error)
+        gradient = field_gradient(calibration) if compensate else None
+        of_field_points = _unbiased(basis, of_field_points, transfer, gradient)
         block_px = BLOCK_PX if min(calibration.core_px(_CHANGE_IN_BLOCK)) >= BLOCK_PX else _SMALL_BLOCK_PX
         at_blocks = calibration.block_weights(downsampling.shape, step, block_px // step)
         weights = np.einsum("yxf,pvfk->pyxvk", at_blocks, of_field_points, optimize=True)
@@ -159,14 +164,11 @@ def _fade(frequency: FloatArray) -> FloatArray:
     return np.asarray(np.sin(0.5 * np.pi * np.minimum(remaining / _FADED_SHARE, 1.0)))
 
 
-def _cross_filters(
-    calibration: Calibration, vergences_per_m: FloatArray, step: int, compensate: bool
-) -> tuple[NDArray[np.complex64], FloatArray]:
-    """Each image's filter at each candidate and field point, and the mean power of the pair in the middle.
+def _transfer(calibration: Calibration, vergences_per_m: FloatArray, step: int) -> NDArray[np.complex64]:
+    """Transfer functions of the pair at each candidate and field point.
 
-    Returns:
-        Shapes (2, n_candidates, n_field, m_y, m_x // 2 + 1) and (m_y, m_x // 2 + 1): transforms of every ``step``-th
-        pixel of windows ``_ROOM`` times as large as the kernels.
+    Shape (2, n_candidates, n_field, m_y, m_x // 2 + 1): transforms of every ``step``-th pixel of windows ``_ROOM``
+    times as large as the kernels.
     """
     stack = calibration.stack
     n_y, n_x = stack.shape[-2:]
@@ -175,17 +177,52 @@ def _cross_filters(
     along_y = np.exp(-2j * np.pi * ky[:, None] * (np.arange(n_y) - n_y // 2)).astype(np.complex64)
     along_x = np.exp(-2j * np.pi * kx[:, None] * (np.arange(n_x) - n_x // 2)).astype(np.complex64)
     nodes = along_y @ (stack @ along_x.T)  # (2, n_depth, n_field, n_ky, n_kx)
-    depths = calibration.depth_weights(vergences_per_m)
-    transfer = np.tensordot(depths, nodes, axes=(1, 1)).swapaxes(0, 1)
+    return np.tensordot(calibration.depth_weights(vergences_per_m), nodes, axes=(1, 1)).swapaxes(0, 1)
+
+
+def _cross_filters(
+    calibration: Calibration, transfer: NDArray[np.complex64], step: int, compensate: bool
+) -> tuple[NDArray[np.complex64], FloatArray]:
+    """Each image's filter at each candidate and field point, and the mean power of the pair in the middle.
+
+    Returns:
+        The shape of ``transfer``, and (m_y, m_x // 2 + 1).
+    """
     squared = transfer.real**2 + transfer.imag**2
-    power = squared[:, :, stack.shape[2] // 2].mean(axis=(0, 1))
+    power = squared[:, :, transfer.shape[2] // 2].mean(axis=(0, 1))
     total = squared.sum(axis=0)
     total += _FAINTEST * total.max()
     filters = transfer[::-1] * np.sqrt(2.0 / total)
     if compensate:
-        weight = _likelihood_weight(_TYPICAL, power, ky, kx)
+        weight = _likelihood_weight(_TYPICAL, power, *_frequencies(transfer, step))
         filters = compensated(filters, transfer, total, weight, calibration, step)
     return filters, power.astype(np.float64)
+
+
+def _frequencies(transfer: NDArray[np.complex64], step: int) -> tuple[FloatArray, FloatArray]:
+    """Frequencies of transforms along y and x, cycles a frame pixel."""
+    n_y, n_kx = transfer.shape[-2:]
+    return frequencies((n_y, 2 * (n_kx - 1)), step)
+
+
+def _unbiased(
+    basis: FilterBasis,
+    weights: NDArray[np.float32],
+    transfer: NDArray[np.complex64],
+    gradient: NDArray[np.float32] | None,
+) -> NDArray[np.float32]:
+    """Weights of the basis that put the maxima of the expected correlation at the true depths.
+
+    ``transfer`` is the pair's at every half step between candidates; ``gradient`` is that of the field, None to leave
+    the pair's change out.
+    """
+    ky, kx = _frequencies(transfer, basis.step)
+    weight = _likelihood_weight(_TYPICAL, basis.power, ky, kx).astype(np.float32)
+    kernels = (scipy.fft.rfft2(basis.kernels) * weight).reshape(2, 1, basis.count, -1)
+    mixed = (weights @ kernels).reshape(*weights.shape[:3], *transfer.shape[3:])
+    texture = _TYPICAL.texture_spectrum(ky[:, None] ** 2 + kx[None, :] ** 2)
+    spectra = texture, np.full_like(texture, _TYPICAL.noise_variance)
+    return unbiased(weights, unbiased_places(mixed, transfer, gradient, window_offsets(transfer, basis.step), spectra))
 
 
 def coarsest_step(calibration: Calibration) -> int:

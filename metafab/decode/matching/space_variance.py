@@ -46,14 +46,13 @@ def compensated(
     if not gradient.any():
         return filters
     n_y, n_kx = transfer.shape[-2:]
-    size = (n_y, 2 * (n_kx - 1))
-    offset_y, offset_x = (step * _periodic_offsets(n) for n in size)
+    size, offsets = (n_y, 2 * (n_kx - 1)), window_offsets(transfer, step)
     weight = np.asarray(weight, dtype=np.float32)
     inverse_weight = 1.0 / np.maximum(weight, _FAINTEST * weight.max())
     out = np.empty_like(filters)
     for v in range(transfer.shape[1]):
         difference = np.zeros(transfer.shape[2:], dtype=np.complex64)
-        for along, offset in zip(gradient, (offset_x, offset_y[:, None]), strict=True):
+        for along, offset in zip(gradient, offsets, strict=True):
             change = np.tensordot(along, transfer[:, v], axes=(1, 1)).swapaxes(0, 1)
             unequal = weight * (filters[0, v] * change[0] - filters[1, v] * change[1])
             difference -= scipy.fft.rfft2(scipy.fft.irfft2(unequal, size) * offset)
@@ -86,6 +85,12 @@ def slope_weights(nodes: FloatArray) -> FloatArray:
         return np.zeros((1, 1))
     spline = make_interp_spline(nodes, np.eye(nodes.size), k=min(3, nodes.size - 1))
     return np.asarray(spline.derivative()(nodes), dtype=np.float64)
+
+
+def window_offsets(transfer: NDArray[np.complex64], step: int) -> tuple[FloatArray, FloatArray]:
+    """Offsets (x, y) of the pixels of transforms (..., m_y, m_x // 2 + 1) from their origin: (m_x,) and (m_y, 1)."""
+    n_y, n_kx = transfer.shape[-2:]
+    return step * _periodic_offsets(2 * (n_kx - 1)), step * _periodic_offsets(n_y)[:, None]
 
 
 def _periodic_offsets(count: int) -> FloatArray:

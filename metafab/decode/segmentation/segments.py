@@ -16,7 +16,7 @@ from scipy.ndimage import label as connected_components
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance, nearest
 from metafab.decode.matching.cost_volume import CostVolume, correlation
-from metafab.decode.matching.depth import PixelDepth, spline_peaks, standard_error
+from metafab.decode.matching.depth import PixelDepth, parabolic_peak, spline_peaks, standard_error
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.outlines import ROUNDS, refined_outlines
 from metafab.decode.segmentation.planes import Plane
@@ -163,8 +163,10 @@ def depth_layers(pixels: PixelDepth, separation_per_m: float) -> FloatArray:
     bins_of_peak = 2.0 * np.sqrt(2.0 * np.pi)  # area of the smoothing Gaussian over its height
     peak = peak[smooth[peak] * bins_of_peak > max(_SMALLEST_SHARE * counts.sum(), 1.0)]
     peak = peak[np.argsort(-smooth[peak])]
+    # Between the bins: their places follow the extreme depths, and layers half a bin off leave fragments.
+    place = peak + parabolic_peak(smooth[peak - 1], smooth[peak], smooth[peak + 1]).place
     kept: list[float] = []
-    for centre in 0.5 * (edges[:-1] + edges[1:])[peak]:
+    for centre in edges[0] + (place + 0.5) * (edges[1] - edges[0]):
         if all(abs(centre - other) > 1.5 * separation_per_m for other in kept):
             kept.append(float(centre))
     return np.array(kept)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.ndimage import binary_opening
+from scipy.special import ndtri
 
+from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.segmentation.planes import Plane
 from metafab.decode.segmentation.segments import (
     Regions,
     SegmentDepth,
     connected_segments,
+    depth_layers,
     fragment_targets,
     grown,
     interior,
@@ -146,3 +149,12 @@ def test_the_pixels_of_a_segment_left_out_go_to_its_neighbours() -> None:
         assert (picture[LABEL == 1] > 0).all() and picture[0, 10] == 1 and picture[35, 65] == 2
     assert np.array_equal(others.interior > 0, LABEL == 3)
     assert regions.without([]) is regions
+
+
+@pytest.mark.parametrize("nearest", [2.9, 2.93, 2.96])
+def test_layers_lie_between_the_bins_of_the_histogram(nearest: float) -> None:
+    """The bins follow the extreme depths: at their middles, a layer moved by up to half a bin of 0.025 / m."""
+    vergence = 2.0 + 0.03 * ndtri((np.arange(3600) + 0.5) / 3600).reshape(60, 60)
+    vergence[0, 0] = nearest
+    pixels = PixelDepth(vergence, np.full(vergence.shape, 0.003), np.ones(vergence.shape, dtype=bool))
+    assert depth_layers(pixels, 0.1)[0] == pytest.approx(2.0, abs=0.003)
