@@ -313,7 +313,7 @@ def _find_regions(
     them if the pixels' depths fit clearly better: a staircase lies within the cells' errors of a plane. Segments whose
     pixels lie on a quadric of vergence become one, if there are no more of them and they explain the twins better.
     Where the pixels' depths fit no planes, segments are pieces of planes across the surface of semi-global matching, if
-    those explain the twins better.
+    those are fewer and explain the twins no worse.
     """
     segmentation = _Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
     if any(plane.tilted for plane in known):
@@ -334,7 +334,9 @@ def _find_regions(
     if inside.size > _MOST_SURFACE_PIXELS or plane_misfit(regions, pixels, inside, _TILTED) < _UNFIT:
         return regions
     surfaces = segmentation.of_surfaces()
-    return surfaces if surfaces is not None and segmentation.explained_better(surfaces, regions) else regions
+    if surfaces is None or len(surfaces.depths) >= len(regions.depths):
+        return regions
+    return surfaces if segmentation.explained_better(surfaces, regions) else regions
 
 
 def _of_layers_or_planes(segmentation: _Segmentation, coarse: list[Plane], *, refined: bool) -> Regions:

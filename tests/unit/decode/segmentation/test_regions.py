@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from metafab.camera import capture
-from metafab.decode.decoder import Decoder
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
-from metafab.decode.segmentation import regions as module
 from metafab.decode.segmentation.fit import Misfit
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side
 from metafab.decode.segmentation.regions import (
-    find_regions,
     foreign_light,
     layer_separation_per_m,
     planes_across,
-    textured_pixel_depth,
 )
 from metafab.decode.segmentation.segments import Regions, SegmentDepth
-from metafab.spec import Scene, SceneObject
-from tests.conjugate_pair import helix_psf
 
 NODES = np.linspace(1.5, 3.5, 13)
 SHAPE = (96, 120)
@@ -81,24 +72,3 @@ def test_only_surfaces_wider_than_a_window_have_outlines_that_excuse_light() -> 
     assert foreign[:, :20].all() and foreign[:, 24:70].all()
     assert not foreign[:, 20:24].any() and not foreign[:, 75:85].any()
     assert foreign[:, 90:].all()
-
-
-@pytest.mark.parametrize("better", [True, False])
-def test_pieces_of_a_surface_are_taken_however_many_if_they_explain_the_twins(
-    monkeypatch: pytest.MonkeyPatch, better: bool
-) -> None:
-    psf = helix_psf(1.0 / np.linspace(1 / 0.0024, 1 / 0.0036, 9))
-    wall = SceneObject(depth_m=0.003, size=(0.5, 0.5))
-    frame = capture(Scene(objects=(wall,), field_px=(120, 150), seed=1), psf)
-    decoder = Decoder.of(psf, frame.frame.shape, frame.origin_um, frame.x_window)
-    assert decoder is not None
-    prepared = decoder.prepare(frame)
-    assert not isinstance(prepared, str)
-    volume = decoder.match(prepared)
-    pixels = textured_pixel_depth(prepared, volume)
-    flat = find_regions(prepared, volume, pixels)
-    pieces = replace(flat, depths=flat.depths * 2, continuous=True)
-    monkeypatch.setattr(module, "plane_misfit", lambda *_: 6.0)  # no planes fit the pixels' depths
-    monkeypatch.setattr(module._Segmentation, "of_surfaces", lambda _: pieces)
-    monkeypatch.setattr(module._Segmentation, "explained_better", lambda *_: better)
-    assert find_regions(prepared, volume, pixels).continuous is better
