@@ -277,7 +277,7 @@ def _read_records(folder: Path, steps: Sequence[Step]) -> dict[str, Record]:
         except DAMAGED:
             continue
         figures = _figures(step, record.summary) if is_whole else None
-        # Hashed anew: as their types say, 5 may have become 5.0.
+        # Hashed anew: by their types, 5 may have been read as 5.0.
         records[step.name] = Record.of(record.inputs_sha256, record.outputs, figures)
     return records
 

@@ -76,9 +76,9 @@ def size_statistics(
     bin_nm: float,
     histogram: NDArray[np.int64],
 ) -> FloatArray:
-    """Add printed less drawn sizes to a histogram and return their sums; shapes as in the module.
+    """Add size errors, printed less wanted, to a histogram and return their sums; shapes as in the module.
 
-    ``displacement_nm``, shape (2, n_y, n_x), is that of each edge, -inf where a pillar does not print. The histogram,
+    ``displacement_nm``, shape (2, n_y, n_x), is the error of each edge, -inf where a pillar does not print. The histogram,
     shape (n_bins,), has bins of ``bin_nm`` and is centred on 0.
 
     Returns:

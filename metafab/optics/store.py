@@ -132,11 +132,8 @@ def _check(psf: Psf, path: Path) -> None:
         if psf.field is not None and psf.ghost.field is not None:
             faults += _shape_faults("ghost/field/", psf.ghost.field, _FIELD_DATASETS, size)
         if (psf.field is None) != (psf.ghost.field is None):
-            faults.append(
-                Fault(
-                    "ghost/field", "a field of both, the pair and the ghost, or of neither", "a field of one", _REMEDY
-                )
-            )
+            expected = "a field in both the pair and the ghost, or in neither"
+            faults.append(Fault("ghost/field", expected, "a field in one of them", _REMEDY))
         if not np.all(np.isfinite(psf.ghost.psf)):
             faults.append(Fault("ghost/psf", "finite irradiance", "NaN or infinity", _REMEDY))
     if psf.depth_m.size == 0 or np.any(np.diff(psf.depth_m) <= 0.0):

@@ -35,7 +35,7 @@ FILE = "exposure.json"
 
 @dataclass(frozen=True)
 class PrintedFigures:
-    """Printed less drawn sizes of the first lens of the written mask, by the design's ``[process.exposure]``.
+    """Printed less wanted sizes of the first lens of the written mask, by the design's ``[process.exposure]``.
 
     Pillars that do not print are counted, and left out of the sizes.
     """
@@ -70,7 +70,7 @@ class CopyFigures:
 
     copy: int  #: Number of the lens.
     dose: float  #: Its dose relative to the base dose, a factor on the corrected ones.
-    cd_error_rms_nm: float  #: Rms of printed less drawn widths and lengths.
+    cd_error_rms_nm: float  #: Rms of printed less wanted widths and lengths.
     cd_error_max_nm: float  #: Largest magnitude.
     unprinted: int  #: Pillars that do not print.
     dose_min: float  #: Smallest dose of a pillar relative to the base dose.

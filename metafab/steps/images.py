@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class CaptureFigures:
     """Figures of a raw frame."""
 
-    shape: tuple[int, ...]  #: Rows and columns; of a batch, frames before them.
+    shape: tuple[int, ...]  #: (rows, columns); of a batch, (frames, rows, columns).
     photons: float  #: Sum of all pixels, electrons.
 
 

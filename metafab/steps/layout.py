@@ -30,7 +30,7 @@ class FileFigures:
 class LayoutFigures(MappingFigures):
     """Figures of the mapping and of the written mask files."""
 
-    offsets_rad: tuple[float, ...]  #: Constant phases of x and y polarisation, which suit the library best.
+    offsets_rad: tuple[float, ...]  #: Constants added to the target phases of x and y polarisation.
     files: tuple[FileFigures, ...]  #: The mask files.
     #: Figures of the mapping if every pillar kept the gap rule within its own cell; None unless the design asks for
     #: ``gap_rule = "pairs"``.
@@ -55,8 +55,8 @@ class DrcFigures:
     """Outcome of the design-rule check of all written files."""
 
     pillars: int  #: Pillars that were found.
-    #: Number of violations of each rule, the worst file; ``formats_differ`` counts the files whose pillars differ from
-    #: those of the first.
+    #: Number of violations of each rule in the worst file; ``formats_differ`` counts the files whose pillars differ
+    #: from those of the first.
     violations: dict[str, int]
     min_gap_nm: float | None  #: Smallest gap between neighbours; None where the engine does not measure it.
     engine: str  #: Engine that checked.

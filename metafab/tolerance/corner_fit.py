@@ -48,8 +48,8 @@ def fitted_amplitudes(
 ) -> tuple[ComplexArray, float]:
     """Return the amplitudes of all sizes at a corner, shape (n, 2), and a bound of their relative error.
 
-    The bound is the leave-one-out error, with two standard errors of its mean square over the sample: few sizes beside
-    resonances hold most of it.
+    The bound is the leave-one-out error, with two standard errors of its mean square over the sample: a few sizes near
+    resonances contribute most of it.
 
     Args:
         library: a continuous library.

@@ -31,8 +31,8 @@ Judged = Literal["all", "ends", "none"]
 _SINGLE_PRECISION_ERROR = 2e-6
 #: Smaller singular values of a kernel are lost in rounding.
 _FINEST_TOLERANCE = 1e-7
-#: Lower bound of the error of blocks of twice the side over their change. Light that fills its blocks gives 10 and
-#: more. Light in a few corners of its blocks converges with the square of the side, which gives 3; 2 is safe.
+#: Change from blocks of twice the side, over the error of the blocks: a lower bound. Light that fills its blocks gives
+#: 10 and more. Light in a few corners of its blocks converges with the square of the side, which gives 3; 2 is safe.
 _COARSENING = 2.0
 #: Cost model, measured on one core: a real operation of a matrix product, refocusing a block, an entry of the matrix
 #: whose singular values split the kernel, and the fixed cost of a panel.

@@ -39,7 +39,7 @@ def size_map(errors: SizeMap, axes: Axes, title: str, largest_nm: float) -> Axes
     half_x, half_y = 0.5 * n_x * errors.block_um[0], 0.5 * n_y * errors.block_um[1]
     extent = (-half_x, half_x, -half_y, half_y)
     scale: dict[str, Any] = {"cmap": CONTRAST_MAP, "vmin": -largest_nm, "vmax": largest_nm}
-    return picture(axes, errors.bias_nm, extent, "printed less drawn size / nm", title, bar=INK, **scale)
+    return picture(axes, errors.bias_nm, extent, "printed less wanted size / nm", title, bar=INK, **scale)
 
 
 def size_histogram(parts: Mapping[str, SizeErrors], axes: Axes) -> Axes:
@@ -51,7 +51,7 @@ def size_histogram(parts: Mapping[str, SizeErrors], axes: Axes) -> Axes:
         held = np.flatnonzero(share)
         if held.size:
             ends_nm += errors.cd_edges_nm[[held[0], held[-1] + 1]].tolist()
-    dress(axes, "printed less drawn size / nm", "share of widths and lengths per bin, %", "Size errors of all pillars")
+    dress(axes, "printed less wanted size / nm", "share of widths and lengths per bin, %", "Size errors of all pillars")
     logarithmic(axes, "y")
     if ends_nm:
         axes.set_xlim(min(ends_nm) - 0.1, max(ends_nm) + 0.1)
@@ -74,5 +74,5 @@ def process_window(parts: Mapping[str, SizeErrors], axes: Axes) -> Axes:
         axes.fill_between(percent, mean - spread, mean + spread, color=ink, alpha=0.22, linewidth=0.0)
         axes.plot(percent, mean, color=ink, linewidth=width, label=name)
     axes.axhline(0.0, color=HAIRLINE, linewidth=0.8, zorder=0.0)
-    dress(axes, "change of all doses, %", "printed less drawn size / nm", "Process window")
+    dress(axes, "change of all doses, %", "printed less wanted size / nm", "Process window")
     return finished(axes, loc="upper left")

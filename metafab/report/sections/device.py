@@ -172,7 +172,7 @@ def exposure(run: RunFolder, drawn: Drawn) -> str:
             sizes = map(html.number, (figures.continuous_rms_nm, figures.continuous_max_nm))
             rows.append(["before rounding to classes", *sizes, *[""] * 5])
     caption = (
-        f"Printed less drawn widths and lengths by the threshold model. Beam: {record.psf_source}. Maps: means over "
+        f"Printed less wanted widths and lengths by the threshold model. Beam: {record.psf_source}. Maps: means over "
         "blocks. Process window: mean and one standard deviation."
     )
     return html.section(

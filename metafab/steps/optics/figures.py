@@ -45,7 +45,7 @@ class PairFigures:
     light_at_um: tuple[tuple[float, ...], ...] | None = optional()
     #: True where the brightest pixel of a polarisation lies on the edge of its window, else None.
     peak_on_edge: bool | None = optional()
-    #: Rms error of the amplitudes of made pillars over their rms, beside ``error``; None for those of the file.
+    #: Rms error of the amplitudes of made pillars over their rms, not part of ``error``; None for pillars of the file.
     made_error: float | None = optional()
 
     @classmethod
@@ -97,7 +97,7 @@ class PsfFigures(PairFigures):
     depth_interpolation_error: float | None
     #: Relative L2 error of PSFs interpolated over the field; None without a field.
     field_interpolation_error: float | None
-    depths: int  #: Depths of the stored pair.
+    depths: int  #: Number of depths of the stored pair.
     #: Lattice sites along the side of a block of the pupil; ``blocks``: number of blocks. These and the following are
     #: None for a pair that was not computed by :func:`metafab.optics.psf`.
     block_sites: float | None = optional()

@@ -156,7 +156,7 @@ def _merit(job: Job) -> MeritFigures:
 
 
 def _framed(design: Design, psf: Psf) -> FloatArray:
-    """Share of the light within the frames of the pictures, shape (2,); NaN without one, or beside the window."""
+    """Share of the light within the frames of the pictures, shape (2,); NaN without one in the window."""
     from metafab.optics.measures.metrics import frame_efficiency
 
     depth, shares = _focus_index(design, psf), np.full(2, np.nan)
@@ -261,7 +261,7 @@ def _loss_chain(job: Job, written: Psf, ideal: Psf, passed: FloatArray, ideal_pa
     source = written_light(job, mask_paths(job)[-1])
     front = wavefront(source, job.profile, job.design.device, open_library(job))
     coupling = recorded_coupling(job)
-    # With the model of neighbours, what they take is missing in the written field already.
+    # The model of neighbours already takes their loss out of the written field.
     has_neighbours = isinstance(source, optics.NeighbourField)
     kept = (
         None if coupling is None or has_neighbours else (coupling.polarised_ratio or (coupling.efficiency_ratio,) * 2)

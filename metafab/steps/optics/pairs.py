@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from metafab.optics import Imaging, Psf, Source
     from metafab.optics.measures.landing import Places
 
-#: Share of the target error that remains to blocks of the pupil and to depths where nothing is to be left out.
+#: Factor on the target error of PSFs where no work is left out: for finer blocks of the pupil and more depths.
 UNSKIPPED_SHARE = 0.1
 #: Margin of the decoder's calibration beyond the scene, as a share of the scene's range of vergence.
 DEPTH_MARGIN = 0.08
@@ -194,7 +194,7 @@ def _stating(psf: Psf, made_error: float) -> Psf:
 
 
 def _psf_error(job: Job) -> float:
-    """Target error of PSFs; without savings, blocks and depths are those of a lower one."""
+    """Target error of PSFs; a lower one where no work is left out, for finer blocks and more depths."""
     return job.design.verify.target_error * (1.0 if job.skips else UNSKIPPED_SHARE)
 
 

@@ -45,8 +45,8 @@ def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) 
 def written_light(job: Job, path: Path, copy: int = 1) -> WrittenField | NeighbourField:
     """Transmitted field of the pillars of a written file, among their neighbours if design and library say so.
 
-    ``[optics] neighbours`` decides; without it, the library's model is used if it has one that lowers the error. Errors
-    as :func:`mask_source`; the design asks for neighbours that the library has no model of.
+    ``[optics] neighbours`` decides; without it, the library's model is used if it has one that lowers the error.
+    InputError as for :func:`mask_source`, and if the design asks for neighbours that the library has no model of.
     """
     from metafab import optics
 
