@@ -78,8 +78,8 @@ def size_statistics(
 ) -> FloatArray:
     """Add size errors, printed less wanted, to a histogram and return their sums; shapes as in the module.
 
-    ``displacement_nm``, shape (2, n_y, n_x), is the error of each edge, -inf where a pillar does not print. The histogram,
-    shape (n_bins,), has bins of ``bin_nm`` and is centred on 0.
+    ``displacement_nm``, shape (2, n_y, n_x), is the error of each edge, -inf where a pillar does not print. The
+    histogram, shape (n_bins,), has bins of ``bin_nm`` and is centred on 0.
 
     Returns:
         Shape (8,): number of pillars, of unprinted pillars; sum, sum of squares and largest magnitude of the size
