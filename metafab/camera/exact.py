@@ -58,7 +58,7 @@ def exact_psf(
     it is largest (at the field's corners and on its axes). The remaining approximations are the layers of occlusion,
     and textures that are constant within a quarter of a pixel.
 
-    A PSF of the paper's lens takes some hundredths of a second, in a filter's light some tenths;
+    A PSF of the lens of Shen 2023 takes some hundredths of a second, in a filter's light some tenths;
     :func:`metafab.optics.save` keeps them.
 
     Args:

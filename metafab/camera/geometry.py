@@ -2,7 +2,7 @@
 
 A direction is the pair of tangents (x/z, y/z) of an object point. The images are inverted: an object at +x appears at
 -x of the geometric image point of the axis. The two images of the split lens have opposite distortion, some 15 pixels
-over the paper's field. The place of a pixel's twin is therefore computed from the maps of both.
+over the field of Shen 2023. The place of a pixel's twin is therefore computed from the maps of both.
 """
 
 from __future__ import annotations

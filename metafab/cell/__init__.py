@@ -10,7 +10,7 @@
 - ``supercell``    unlike pillars in one period, and the prediction of the local-period approximation
 - ``rcwa``         the Fourier modal method with a bound on its error
 - ``elements``     supercells by spectral elements and plane waves
-- ``curved``       ellipses and rounded rectangles by spectral elements
+- ``curved``       ellipses, rings and rounded rectangles by spectral elements
 - ``meep``         FDTD by Meep, a separate program
 - ``meep_worker``  the program that runs Meep
 """

@@ -1,7 +1,7 @@
 """Errors of a decoded image against the truth of a simulated frame, and the Cramer-Rao bound of depth at each place.
 
 The information (:mod:`metafab.information.fisher`) is summed over the frequencies of the *local* pair: kernels
-integrated over pixels, y on the grid of x. Aberrations blur the pair off the axis: at the edge of the paper's field it
+integrated over pixels, y on the grid of x. Aberrations blur the pair off the axis: at the edge of Shen's field it
 carries a sixth of the information on the axis. Divided by the number of frequencies it is the information of a pixel; a
 window much larger than the blur has the sum of its pixels.
 """

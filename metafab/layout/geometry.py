@@ -142,9 +142,10 @@ def _nearest_divisor(number: int, wanted: int) -> int:
 def sampling_lattice(profile: PhaseProfile, design: Design) -> Lattice:
     """Coarsest square lattice that samples the target phases below the Nyquist limit; for designs without a mask.
 
-    The pitch is an even number of periods. The steepest slope decides it, a few steps between zones left out: the
-    phase, lens and split included, turns by less than pi from site to site, so that no alias of the image falls into
-    the window. Where no coarser lattice will do, the lattice of the pillars is returned. Errors as :func:`lattice_of`.
+    The pitch is an even number of periods. It follows from the steepest slope, apart from the steps at zone boundaries:
+    the phase, lens and split included, turns by less than pi from site to site, so that no alias of the image falls
+    into the window. Where no coarser lattice will do, the lattice of the pillars is returned. Errors as in
+    :func:`lattice_of`.
     """
     fine = lattice_of(design)
     period, aperture = max(fine.cell_dbu), aperture_dbu(design)

@@ -31,7 +31,7 @@ NUMERICAL_SHARE = 1.0 / 3.0
 _PARTS = 4
 #: Mean relative L2 error over the field of cubic interpolation between directions whose wavefronts differ by 1 rad rms
 #: in its corners; it grows with the fourth power. In an outermost cell it is twice as large: measured 0.6 to 0.88 for
-#: the small lens with 4 to 8 points a side, 0.27 for the paper's lens.
+#: the small lens with 4 to 8 points a side, 0.27 for the lens of Shen 2023.
 _FIELD_ERROR_PER_RAD4 = 0.45
 #: Fewest points that carry a cubic, and most points of a design, along an axis.
 _FEWEST_POINTS, _MOST_POINTS = 4, 65

@@ -21,7 +21,7 @@ from metafab.phase.jones_target import JonesTarget
 
 #: Relative error of the propagation kernel's low-rank part.
 _KERNEL_TOLERANCE = 1e-4
-#: Sites along a side of a block. For the paper's lens and its tenth, blocks of 2 sites agree with single sites to 1e-3.
+#: Sites along a side of a block. For Shen's lens and its tenth, blocks of 2 sites agree with single sites to 1e-3.
 _BLOCK_SITES = 2
 
 

@@ -161,8 +161,8 @@ def too_steep(job: Job) -> list[str]:
             period = " x ".join(f"{period_nm:g}" for period_nm in dict.fromkeys(design.unit_cell.cell.period_nm))
             warnings.append(
                 f"{at}the target phase turns by more than half a turn from pillar to pillar (period {period} nm) in "
-                f"{100.0 * share:.3g} % of the aperture: light from there goes in the direction of "
-                "one turn less for each pillar; bend it less, or take a shorter period"
+                f"{100.0 * share:.3g} % of the aperture: light from there leaves as if the phase had one turn less for "
+                "each pillar; make the phase flatter, or take a shorter period"
             )
     return warnings
 

@@ -6,7 +6,7 @@ its phase and power smoothly:
     t_corner = exp(p) [t(width + q, length + r) + i (u dt/d(width) + v dt/d(length))],
 
 with polynomials p (complex), q, r, u and v (real) of the sizes. A resonance that moves by more than its width needs the
-shift inside t: by an expansion linear in q and r, the paper's cell with walls of 88 degrees was off by 0.2 to 0.3 of
+shift inside t: by an expansion linear in q and r, Shen's cell with walls of 88 degrees was off by 0.2 to 0.3 of
 the field. Beyond the library's sweep, t is continued by the library's model. The value at the end of the sweep, used
 instead, misses resonances: one size of a sample then made the stated error 0.13, where the true one was 0.024.
 """
@@ -29,7 +29,7 @@ _SHIFT_DEGREE, _DEGREE = 2, 1
 #: Prior of the fit: a coefficient of 1 nm, or of 1 in the logarithm, costs as much as this error of the field. It keeps
 #: coefficients small that the sample leaves open.
 _SHIFT_WEIGHT, _LOG_WEIGHT = 0.002, 0.02
-#: Share of the sweep by which the library's model is continued on either side. Its error in the paper's cell, from 14
+#: Share of the sweep by which the library's model is continued on either side. Its error in Shen's cell, from 14
 #: solved sizes at each distance below/above a sweep of 150 nm: 0.0005/0.002 of the field at 4 nm, 0.004/0.02 at 8 nm,
 #: 0.01/0.03 at 12 nm and 0.12/0.16 at 16 nm. The value at the end of the sweep errs by 0.16/0.14 at 4 nm.
 _BEYOND = 0.08

@@ -4,7 +4,7 @@ If the library was built over the axis of the corner (``[sweep.axes]``), it is l
 dimension moves sizes: the surface of the library holds them within its sweep, and only sizes beyond it are solved.
 Height, sidewall, round corners and index are solved for a sample of the mask's sizes, with and without the change, and
 fitted by a shift of the sizes and a smooth factor (:mod:`metafab.tolerance.corner_fit`). Leave-one-out prediction with
-two standard errors gives the error. For sizes within the sweep of the paper's cell it is 0.001 (index, change 0.08) to
+two standard errors gives the error. For sizes within the sweep of Shen's cell it is 0.001 (index, change 0.08) to
 0.017 of the field (walls of 88 degrees, change 0.18); up to 8 nm beyond the sweep, 0.009 to 0.06.
 """
 

@@ -296,8 +296,8 @@ def tolerance_table(
 
     Raises:
         InputError: slopes of rings or in a hexagonal lattice, inputs for which no PSF stack exists
-            (:func:`metafab.optics.psf`), or write fields that only blocks of so few sites divide that stitching does
-            not fit into memory.
+            (:func:`metafab.optics.psf`), or write fields that for stitching must be divided into more blocks than fit
+            into memory.
     """
     cell = library.unit_cell.cell
     if (cell.is_hexagonal or cell.shape == "ring") and tolerances.sidewall_deg > 0.0:
@@ -351,9 +351,10 @@ def _faults(tolerances: Tolerances, imaging: Imaging, written: WrittenField, fie
 def require_block_memory(
     faults: Sequence[Fault], written: WrittenField, block_sites: int, most_blocks: int = MOST_BLOCKS
 ) -> None:
-    """Refuse write fields that only blocks of too few sites divide, before any corner is solved.
+    """Refuse write fields that must be divided into more blocks than fit into memory, before any corner is solved.
 
-    ``block_sites`` are those along a side of a block without faults. InputError if the blocks do not fit into memory.
+    A block of a random fault divides the write field; ``block_sites`` are those along a side of a block without faults.
+    InputError if the smaller blocks do not fit into memory.
     """
     for fault in faults:
         block = fault.block_sites(block_sites)

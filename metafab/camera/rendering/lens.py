@@ -17,7 +17,7 @@ from metafab.camera.rendering.windows import Window, shifts_px_m
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.progress import Progress
 
-#: Blurs that are kept from frame to frame; one of the paper's lens takes a megabyte.
+#: Blurs that are kept from frame to frame; one of the lens of Shen 2023 takes a megabyte.
 _MOST_BLURS = 256
 #: Key in place of an object's number for a whole image: of a picture, or of a scene in which nothing moves.
 _WHOLE = -1

@@ -37,7 +37,7 @@ _DIMMEST = 0.05
 #: Measured range: ratio of the periods, and size over period. Between silicon pillars that stand closer, claims failed
 #: at some heights.
 _LONGEST, _FULLEST = 1.03, 0.7
-#: Measured range: phase, rad, that the pillar adds to light over its height: 12.7 in the paper's cell, 14.8 in the
+#: Measured range: phase, rad, that the pillar adds to light over its height: 12.7 in the cell of Shen 2023, 14.8 in the
 #: tallest silicon pillars.
 _LARGEST_PHASE = 15.0
 #: Phase, rad, of the vacuum wave over the height of the silicon pillars on which the floors were chosen; 4.71 in the

@@ -9,7 +9,7 @@ together give the misalignment of the camera:
 
 Distance and wavelength cannot be separated. The phase of the mask is fixed, and behind it light depends on the product
 of wavelength and distance alone (Fresnel): a wavelength longer by a share d, with a sensor nearer by d, gives the same
-spots. The split of the paper's lens disperses by 3.8 um per nanometre, in opposite senses, but a farther sensor moves
+spots. The split of Shen's lens disperses by 3.8 um per nanometre, in opposite senses, but a farther sensor moves
 the images apart as well. In their separation the two changes cancel but for tan^2(theta) d: 0.15 um per nanometre, a
 twentieth of a pixel, which is the accuracy of the places. The only other difference is the object's 1/depth, seen as
 (1 - d) / depth: 0.004 per metre and nanometre at 30 cm, or 0.1 % of the depth. The offset contains all of it except

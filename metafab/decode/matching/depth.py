@@ -126,7 +126,7 @@ def quartic_peak(values: NDArray[np.float32]) -> Peak:
     """Maximum of the quartic through five values at every half step; its place counts in steps from the middle one.
 
     A parabola through three candidates is off by up to a tenth of a step where the maximum is as narrow as two steps:
-    0.9 % of the depth at the sides of the paper's field, calibrated from 0.23 to 0.71 m. Values of shape (5, ...) give
+    0.9 % of the depth at the sides of Shen's field, calibrated from 0.23 to 0.71 m. Values of shape (5, ...) give
     the peak within a step of the middle, shape (...).
     """
     flat = np.ascontiguousarray(values, dtype=np.float32).reshape(5, -1)

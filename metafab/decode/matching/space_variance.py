@@ -7,7 +7,7 @@ A H_x = B H_y, leave a difference of F times
     q = -sum_j FT[t_j IFT(A d_j H_x - B d_j H_y)],
 
 to first order in the change over the pair's own width, with F the texture's transform.
-The difference is no noise and does not average out: over the paper's field it changes depth by 0.07 % in the mean, and
+The difference is no noise and does not average out: over Shen's field it changes depth by 0.07 % in the mean, and
 by up to 0.2 % at the sides. The smallest change of both filters that removes it is -q H_x* / (|H_x|^2 + |H_y|^2) of A
 and +q H_y* / (|H_x|^2 + |H_y|^2) of B.
 """

@@ -31,7 +31,7 @@ from metafab.library.neighbours.windows import NeighbourTables
 #: by full wave: sizes drift to where corrections by rows and by columns are large, and their sum is not exact.
 ROUNDS, _PRICE = 4, 1e-3
 #: Price in F of half of the squared sum of phase errors, and the share of the sum that the next pillar inherits. With a
-#: share of 0.95 the sum spans 20 pillars, more than a period of the paper's lens, and the phases of periods scatter by
+#: share of 0.95 the sum spans 20 pillars, more than a period of Shen's lens, and the phases of periods scatter by
 #: 0.030 rad in place of 0.018.
 _PHASE_PRICE, _KEPT = 1.0, 0.9
 #: Cells along each target phase of the table of a mapping by table.

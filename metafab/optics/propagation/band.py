@@ -1,6 +1,6 @@
 """PSFs over the band of a filter, from a few wavelengths whose windows follow the image point.
 
-A split or grating moves the image with the wavelength (3.8 um per nanometre in the paper's lens). About its own image
+A split or grating moves the image with the wavelength (3.8 um per nanometre in the lens of Shen 2023). About its image
 point the PSF changes slowly, by defocus alone. Images are therefore computed on windows about each wavelength's image
 point, interpolated between a few wavelengths by polynomials, and shifted and added as spectra:
 
@@ -59,7 +59,7 @@ def band_ends(imaging: Imaging, filter_fwhm_nm: float) -> tuple[Imaging, Imaging
 
 
 def padded_px(imaging: Imaging, tangent: Tangent, filter_fwhm_nm: float, window_px: int) -> int:
-    """Return the side of the window that holds all light of the band in a window of ``window_px`` points."""
+    """Return the side of the single-wavelength windows that, once shifted, fill one of ``window_px`` points."""
     ends = band_ends(imaging, filter_fwhm_nm)
     farthest_um = max(
         float(np.abs(np.subtract(end.image_point_um(p, tangent), imaging.image_point_um(p, tangent))).max())

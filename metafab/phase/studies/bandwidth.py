@@ -30,7 +30,7 @@ _AZIMUTH_STEP_DEG = 30.0
 
 
 def smear_um_per_nm(sensor_distance_um: float, angle_deg: float, wavelength_um: float) -> float:
-    """Shift of an image along the split per nanometre of wavelength (3.8 um for the paper's lens).
+    """Shift of an image along the split per nanometre of wavelength (3.8 um for the lens of Shen 2023).
 
     The image is at z tan(theta) with sin(theta) proportional to lambda: the derivative is z tan(theta) / cos^2(theta) /
     lambda.

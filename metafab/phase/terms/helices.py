@@ -1,4 +1,4 @@
-"""Terms that make a PSF turn with depth: spiral zones (Eq. 2), their optimised form, vortex, double helix.
+"""Terms that make a PSF turn with depth: spiral zones (Eq. 2 of Shen 2023), their optimised form, vortex, double helix.
 
 In a conjugate pair y polarisation is x polarisation at the mirrored point: psi_y(x, y) = psi_x(-x, -y).
 """
