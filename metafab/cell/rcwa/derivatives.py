@@ -13,8 +13,8 @@ is
 
     -1/2 [(a(0) - a(d))^T d(P^-1 F) (e(0) - e(d)) - (a(0) + a(d))^T d(Q F^-1) (e(0) + e(d))],
 
-so that dF has weights of rank two, which the doubling in reverse turns into weights of dP and dQ: with those of t and r
-all derivatives cost about a third of the solution. Where rounding forbids doubling, modes make the integral a closed
+so that dF has weights of rank two, which the doubling in reverse turns into weights of dP and dQ: the derivatives of t
+and r together cost about a third of the solution. Where rounding forbids doubling, modes make the integral a closed
 form. In the half spaces only the evanescent waves of the stretched basis change; the zero order does not. A taller
 layer has one more sheet of P and Q at its far face, where the integrand is known without an integral.
 """
@@ -41,7 +41,7 @@ from metafab.cell.rcwa.symmetry import permittivity, polarisations_swap
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import Fault, InputError
 
-#: Used for a propagation constant of zero: at a Rayleigh anomaly the derivative is infinite.
+#: Replaces a propagation constant of zero: at a Rayleigh anomaly the derivative is infinite.
 _SMALLEST = 1e-9
 
 

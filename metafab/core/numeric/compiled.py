@@ -63,7 +63,8 @@ def after_first_compilation(follow: Callable[[], None]) -> Iterator[None]:
 
 def _compile_once(kernel: Any, compile_or_load: Callable[[Any], Any], source: str, arguments: Any) -> Any:
     """Compile ``kernel`` of the file ``source`` for the types of ``arguments``, or load it from the cache."""
-    # The order of the locks: a thread that waited for the compiler with a file locked would stop the one that compiles.
+    # Compiler lock first: a thread that held a file's lock while it waited for the compiler would stop the one that has
+    # the compiler.
     with global_compiler_lock, _alone_with(source):
         misses = sum(kernel.stats.cache_misses.values())
         entry_point = compile_or_load(arguments)

@@ -141,8 +141,8 @@ def _fitted(prepared: PreparedFrame, optics: LayerOptics, starts: Sequence[Objec
             at = np.flatnonzero(going & (steps == most))
             linear = _Linear.of(window.taken(at), unknowns[at], textures[at], first)
             change, change_of_textures = linear.solved(of_textures[at], most)
-            # A step of depth against the last one is shortened by the secant rule. In full, it would undo up to 0.9 of
-            # the last: the textures follow the depth only in part.
+            # A step of depth opposite to the last one is shortened by the secant rule: in full it would undo up to 0.9
+            # of the last one, because the textures follow the depth only in part.
             back, share = before[at] * change[:, 0] < 0.0, np.ones(len(at))
             np.divide(moved[at], before[at] - change[:, 0], out=share, where=back)
             share = np.minimum(share, 1.0)
