@@ -68,7 +68,7 @@ class CornerStatistics:
 
     points_solved: int = 0  #: Cells solved.
     rounds: int = 0  #: Rounds of solving.
-    held_out: int = 0  #: Cells of the last round that were predicted before they were solved, the worst ones aside.
+    held_out: int = 0  #: Cells of the last round predicted before they were solved, without those chosen as the worst.
     held_out_error: float = math.nan  #: Largest error of these predictions.
     held_out_rms: float = math.nan  #: Rms error of these predictions.
     open_share: float = math.nan  #: Share of the box whose error estimate is above the tolerance.

@@ -79,12 +79,12 @@ class DesignOutline:
 
     @property
     def own_light(self) -> str:
-        """Light of the unit cell in words, which one figure of several lights is for; empty for one light."""
+        """Light of the unit cell in words, for figures of that light alone; empty for a design with one light."""
         several = bool(self.lights) and self.wavelength_nm is not None
         return f"{self.wavelength_nm:.12g} nm along the axis" if several else ""
 
     def is_parallel(self, depth_m: float) -> bool:
-        """Whether a point at this depth lights the aperture as an infinite one does, to a hundredth of a wave."""
+        """Whether a point at this depth lights the aperture like one at infinity, to a hundredth of a wave."""
         if self.aperture_um is None or self.wavelength_nm is None:
             return depth_m == math.inf
         rim_um = self.aperture_um**2 / (8e6 * depth_m)
@@ -116,7 +116,7 @@ class AperturePhases:
 
     @property
     def vary(self) -> bool:
-        """Whether the phases are more than whole turns: without lens, split and gratings, many designs are flat."""
+        """Whether the phases differ from whole turns: without lens, split and gratings, many designs are flat."""
         return bool(np.nanmax(np.abs(np.angle(np.exp(1j * self.phase_rad)))) > 1e-6)
 
 
@@ -150,7 +150,7 @@ class RunFolder:
 
     @property
     def forms_images(self) -> bool:
-        """Whether the device is made to image points; a mask that repeats, by a phase of its own, is not."""
+        """Whether the device is made to image points; a mask of the user's own phase that repeats is not."""
         return self.outline.forms_images and (self.summary.orders is None or self.summary.orders.sites is None)
 
     @property

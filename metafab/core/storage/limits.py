@@ -1,4 +1,4 @@
-"""Limits on what reading one file may take, spent before anything is expanded.
+"""Limits on what reading one file may take, checked before anything is expanded.
 
 A few bytes can state billions of shapes or terabytes of zeros. Each reader has its own default, mostly by the size of
 the file. A design's ``[limits]`` replace it for its masks, and in a run for all that the steps read; the option

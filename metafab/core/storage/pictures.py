@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 _SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy", ".npz": "npz"}
 #: Most pixels of a picture, times its colours or pages, unless the limit ``memory_mb`` is stated: 512 MiB of floats. A
-#: file of up to 10 MB holds 4096 x 3072, and 64 more for each further byte; a frame takes 59 bytes a pixel to decode.
+#: file of up to 10 MB may hold 4096 x 3072, and 64 more for each further byte. Decoding takes 59 bytes a pixel.
 _MOST_SAMPLES, _BYTES_OF_A_SAMPLE = 1 << 26, 8
 _SMALL_FILE_BYTES, _MOST_SAMPLES_OF_A_SMALL_FILE = 10**7, 3 << 22
 #: Longest side of a picture (pixels); no image sensor has more.

@@ -114,7 +114,7 @@ class _System:
     def solved(
         self, spectrum: NDArray[np.complex64], free: NDArray[np.intp], bright: NDArray[np.intp], ridge: float
     ) -> SeparatedTile:
-        """Light of the bright pixels, not below zero, and the values of the free pixels, those without a datum, for it.
+        """Non-negative light of the bright pixels, and with it the values of the free pixels, which have no datum.
 
         Both sets of pixels are (row, column), shape (n, 2). ``ridge`` is the variance of the noise over that of the
         highlights' light.

@@ -1,4 +1,4 @@
-"""Stated error of a row: a product of powers of four predictors that are known without a solver.
+"""Stated error of a row: a product of powers of predictors that are known without a solver.
 
 Rows that the model corrects more, that change less evenly from site to site, or that respond more to errors of their
 matrix are less certain. The powers are fitted to the held-out rows, so that rows with steady phases and rows of random
@@ -33,7 +33,7 @@ class RowDoubts:
     """Predictors of the error of rows, shape (rows,) each, rms over the sites, relative to the rms of t."""
 
     correction: FloatArray  #: Correction by the neighbours.
-    step: FloatArray  #: Difference of t from site to site.
+    step: FloatArray  #: Difference of t from site to site; the oldest files use it, new fits the other four.
     bend: FloatArray  #: Second difference of t; it is small where phases change steadily.
     gain: FloatArray  #: Change of the field by independent unit errors of all elements of the site matrices.
     resonance: FloatArray  #: Norm of the inverse of the row's matrix, not relative to t.
