@@ -11,14 +11,14 @@ JSON object and nothing else. Progress bars go to stderr, and only on a terminal
 - ``commands``   the commands:
 
   - ``run``       ``new``, ``run``, ``stokes``
-  - ``cell``      ``cell``, ``library build``, ``library check``, ``library show``
+  - ``cell``      ``cell``, ``library build``, ``library check``, ``library import``, ``library show``
   - ``mask``      ``layout``, ``drc``
-  - ``expose``    ``expose``
+  - ``expose``    ``expose``, ``process fit``
   - ``fullwave``  ``fullwave``, ``coupling``, ``patch``
-  - ``light``     ``psf``, ``tolerance``
+  - ``light``     ``psf``, ``psf import``, ``tolerance``
   - ``images``    ``capture``, ``film``, ``decode``, ``calibrate``
   - ``study``     ``propose``, ``compare``
-  - ``service``   ``report``, ``benchmark``, ``doctor``
+  - ``service``   ``report``, ``benchmark``, ``keys``, ``doctor``
 """
 
 import gc

@@ -4,7 +4,7 @@ Depth enters a PSF through the defocus of its aperture. The relative L2 change o
 is the standard deviation of that defocus over the aperture, k std(r^2) / (2 z): within 4 % of the measured change for
 the pair of ``layouts/helix_small.toml``. PSFs with a relative error e therefore shift depth by at most about e over
 that slope. A third of the wanted depth error is left to the numerics; added in quadrature to the error by the noise of
-the light, it lengthens the sum by 5 %.
+the light, it raises the sum by 5 %.
 
 The cheapest allocation follows from the laws of interpolation. The number of depths grows as the inverse fourth root of
 their error, and so does the number of directions along each of the two axes of the field. Their product is smallest if

@@ -1,4 +1,4 @@
-"""Commands ``cell``, ``library build``, ``library check`` and ``library show``."""
+"""Commands ``cell``, ``library build``, ``library check``, ``library import`` and ``library show``."""
 
 from __future__ import annotations
 
