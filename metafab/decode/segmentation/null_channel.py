@@ -2,7 +2,7 @@
 
 Both images of a surface, each blurred once more by the other's PSF at the surface's depth, are equal up to contrast. In
 their difference, the null channel, the surface vanishes with any texture, seen or hidden. What is left is the light of
-an object at another depth, and the mean light that the object hides, as if negative and in the object's place.
+an object at another depth, less the mean light that the object hides, in the object's place.
 
 The evidence of a rectangle of even light with a texture of 1/k spectrum is that of a Gaussian process, with the texture
 and both mean intensities integrated out. It needs one Cholesky factor of a matrix of the rectangle's pixels.
@@ -30,11 +30,11 @@ from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Side of the square about a pixel in which a null channel is computed, downsampled pixels.
 WINDOW = 96
-#: Side of the part of the window where its weight is 1, downsampled pixels.
+#: Side of the middle of the window where its taper is 1, downsampled pixels.
 _EVEN = 44
 #: Rms contrast of an object's texture.
 _TEXTURE = 0.2
-#: Rms of an object's mean intensities over the surface's.
+#: Prior rms of an object's mean light less the surface's, over the surface's.
 _LEVEL = 0.7
 #: Error of the pair as a share of the surface's light.
 _MODEL_ERROR = 0.01
@@ -42,7 +42,8 @@ _MODEL_ERROR = 0.01
 _LEAST_LIGHT = 0.1
 #: Side of the window over which the residual of the null channel is averaged, downsampled pixels.
 _POOLED = 5
-#: Last pivot of a system with its target as last row: above twice any evidence, so that the factor exists.
+#: Last diagonal element of a matrix whose last row is the target: above twice any evidence, so that its Cholesky factor
+#: exists.
 _UNREACHED = 1e30
 
 #: Middle (row, column) and half sides (rows, columns), downsampled pixels.
@@ -104,7 +105,7 @@ _BOTH_HALVES[[0, -1]] = 1.0
 
 
 class RectangleEvidence:
-    """Evidence of rectangles of light at all depths; what was asked before is kept."""
+    """Evidence of rectangles of light at all depths; earlier results are cached."""
 
     def __init__(self, channel: NullChannel) -> None:
         """Evidence of objects before the surface of a null channel."""
@@ -243,11 +244,11 @@ class _Side:
 class _Solution:
     """Evidence of a rectangle, and the solution from which its texture and mean intensities follow."""
 
-    evidence: float
-    factor: FloatArray
-    cover: FloatArray
-    at: tuple[slice, ...]
-    unit: float
+    evidence: float  # natural logarithm, over that of no object
+    factor: FloatArray  # Cholesky factor; its last column holds the solution of the lower system
+    cover: FloatArray  # (rows, columns), standard deviation of the texture at each covered pixel, electrons
+    at: tuple[slice, ...]  # rows and columns of these pixels in the window
+    unit: float  # mean light of the surface, electrons
 
     @cached_property
     def _unknowns(self) -> FloatArray:
@@ -289,7 +290,7 @@ def _inverse_covariance(rows: int, columns: int, step: int) -> tuple[FloatArray,
 def _fill(matrix: FloatArray, inverse: FloatArray, cover: FloatArray, lags: FloatArray) -> None:
     """Lower triangle of the pixels' part of a system: inverse covariance, and correlation of lit pixels' responses.
 
-    ``lags`` as in :class:`_Response`: even in both lags together.
+    ``lags`` are those of :class:`_Response`, equal for opposite lags.
     """
     rows, columns = cover.shape
     middle = lags.shape[1] // 2 - 1

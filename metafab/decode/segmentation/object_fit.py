@@ -57,7 +57,7 @@ _DRAWS = 4
 _DIFFERENCES = np.array([0.003, 0.1, 0.1, 0.1, 0.1])
 #: Number of the unknowns before the mean intensities.
 _LEVELS_AT = len(_DIFFERENCES)
-#: Largest changes in one Gauss-Newton step, and standard deviations of a weak prior of all steps.
+#: Largest changes in one Gauss-Newton step, and standard deviations of the weak prior of a step.
 _LARGEST = np.array([0.06, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
 _PRIOR = np.array([3.0, 60.0, 60.0, 60.0, 60.0, 10.0, 10.0, 30.0, 30.0])
 #: Least and largest mean intensity over the surface's, and least half side, downsampled pixels.

@@ -30,9 +30,11 @@ _PLAIN_SHARE = 0.99
 #: Largest ratio of distances of a plain object's outline from its core (quantiles 0.95 and 0.05): rectangles have up to
 #: 1.6, pixels of a textured surface behind that happen to be as bright 2.
 _OUTLINE_RATIO = 1.7
-#: Median change of the light across a plain object's outline over its scatter along it (1.48 times the median
-#: deviation): less may be texture beyond it. Last: most smooth cores that are looked at.
-_ONE_STEP, _MOST_PLAIN = 3.0, 16
+#: Least median change of the light across a plain object's outline, over its scatter along it (1.48 times the median
+#: deviation): a smaller change may be texture beyond it.
+_ONE_STEP = 3.0
+#: Most smooth cores that are examined, the largest.
+_MOST_PLAIN = 16
 #: Sum of both images, in standard deviations of the read noise, up to which a pixel is dark.
 _DARK_DEVIATIONS = 6.0
 #: Share of a surface's light at which its outline stands, next to the dark.
@@ -223,7 +225,7 @@ class PreparedFrame:
 
     @cached_property
     def plain_objects(self) -> NDArray[np.int32]:
-        """Number from 1 of each plain surface in the dark or shown whole: shape (n_y, n_x), 0 elsewhere.
+        """Number from 1 of each plain surface that lies whole in the picture or in the dark: shape (n_y, n_x), else 0.
 
         Its pixels are connected, lie about one smooth core, and are plain but for those along the outline. Their light
         is nearer to that of the core than to that beyond the outline.

@@ -35,7 +35,7 @@ _OUTLINE_WINDOW_PX = 7
 _SHARES_WINDOW_PX = 21
 #: Weight of the correlation against those shares: with half as much, outlines would eat small objects.
 _CORRELATION_WEIGHT = 2.0
-#: Share of a region's interior that shows texture at least; 5 standard deviations leave noise none.
+#: Least share of a region's interior that shows texture; at 5 standard deviations, noise shows none.
 _LEAST_TEXTURED = 0.05
 #: Standard errors within which a fragment's depth is that of its neighbour, and their least ratio of sizes.
 _SAME_DEPTH, _SIZE_RATIO = 2.5, 4
@@ -86,7 +86,7 @@ class Regions:
         return Regions(self.layers, depths, *part_of, right, self.continuous)
 
     def with_owners(self, owner: NDArray[np.int32]) -> Regions:
-        """The depths of before with new outlines: ``owner`` is each pixel's segment or none, shape (n_y, n_x).
+        """The same depths with new outlines: ``owner`` is each pixel's segment or none, shape (n_y, n_x).
 
         Plain objects keep the outline of their light.
         """
@@ -163,7 +163,7 @@ def depth_layers(pixels: PixelDepth, separation_per_m: float) -> FloatArray:
     bins_of_peak = 2.0 * np.sqrt(2.0 * np.pi)  # area of the smoothing Gaussian over its height
     peak = peak[smooth[peak] * bins_of_peak > max(_SMALLEST_SHARE * counts.sum(), 1.0)]
     peak = peak[np.argsort(-smooth[peak])]
-    # Between the bins: their places follow the extreme depths, and layers half a bin off leave fragments.
+    # Layers lie between bins, whose places follow the extreme depths: a layer half a bin off leaves fragments.
     place = peak + parabolic_peak(smooth[peak - 1], smooth[peak], smooth[peak + 1]).place
     kept: list[float] = []
     for centre in edges[0] + (place + 0.5) * (edges[1] - edges[0]):

@@ -35,7 +35,7 @@ from metafab.decode.segmentation.tile_shares import TileLayers
 
 #: Distance from an outline up to which it may be wrong, frame pixels.
 _BAND_PX = 20
-#: Distance over which a layer's share falls by e beyond its outline at first, frame pixels.
+#: Distance beyond its outline over which a layer's initial share falls by a factor of e, frame pixels.
 _FIRST_FALL_PX = 6.0
 #: Distance up to which a segment is grown over lit pixels without one, frame pixels.
 _GROWN_PX = 60
@@ -51,11 +51,12 @@ _POOLED_PX = 4.0
 _LIGHT_PX = 21
 #: Distance over which light from beyond the window is mixed in, frame pixels.
 _BLUR_PX = 12
-#: Distance from a tile's edge up to which its pixels do not count, frame pixels: light from beyond is mixed in. 9 gives
-#: the same errors, 18 more by a tenth.
+#: Distance from a tile's edge up to which its pixels do not count, frame pixels: light from beyond is mixed in. 9 px
+#: give the same errors, 18 px a tenth more.
 _GUARD_PX = 12
-#: Least share of a layer's pixels whose texture is typical of all. Small discs before a plain wall, with 26 to 50 %
-#: away from outlines, lose and take pixels if scaled by all of them; a disc of 23 % shrinks if scaled by those.
+#: Least share of a layer's pixels that lie away from outlines, for these alone to give its typical energy. Small discs
+#: before a plain wall with 26 to 50 % there lose and take pixels if all pixels give it; one with 23 % shrinks if these
+#: alone do.
 _TYPICAL_SHARE = 0.25
 #: Standard deviation of the Gaussian that blurs hard outlines for a misfit, downsampled pixels: that of a pixel that an
 #: outline may cross anywhere is 0.3; with 0.6 the misfit of true outlines is least against shifted ones.
@@ -115,8 +116,8 @@ def false_pieces(
     """Narrow segments whose light the segments about them explain better, by the model of the frame.
 
     Between two outlines the blur of both surfaces may correlate at a depth that is neither's. Such a piece is false if
-    the light of its median pixel fits the nearest other segments better, and so does all light about it: wrong outlines
-    nearby spoil the sum alone.
+    the nearest other segments fit better both the light of its median pixel and the sum of all light about it; wrong
+    outlines nearby spoil the sum alone.
 
     Args:
         prepared, depths, label, interior, optics: as for :func:`outline_owners`; labels have the shape (n_y, n_x).
@@ -288,8 +289,9 @@ class _Layers:
     def gain(self, label: NDArray[np.int32], near: NDArray[np.bool_]) -> NDArray[np.float32] | None:
         """Misfit of the layers' pixels less that with other outlines, by pixel of the window: shape (n_y, n_x).
 
-        ``label`` is the other number of each pixel's layer, of the shape of the downsampled images with margin. Tiles
-        without pixels ``near`` where it differs, shape (n_y, n_x), are 0. None without tiles, or for too much memory.
+        ``label`` is the number of each pixel's layer with the other outlines, of the shape of the images with margin.
+        Tiles without pixels ``near`` where it differs, shape (n_y, n_x), are 0. None without tiles, or for too much
+        memory.
         """
         judged = set(self.optics.tiling.tiles_with(near).tolist())
         tiles = [one for one in self.tiles if one[0] in judged]

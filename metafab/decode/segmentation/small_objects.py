@@ -58,12 +58,12 @@ _LEAST_EVIDENCE, _LEAST_MARGIN = 60.0, 20.0
 #: Largest mean energy, over that of noise, that is left in a blob without its object: true objects left 0.8 to 1.8,
 #: light of other causes 40 or more.
 _LEFT = 3.0
-#: Limits of the coarse search over those above: of the evidence, and of the energy left at the middle candidate and at
-#: the best one. The coarse steps of 13 objects found left 4.5 and 3.6 at most.
+#: Limits of the coarse search as multiples of those above: of the evidence, and of the energy left at the middle
+#: candidate and at the best one. The coarse steps of 13 objects found left 4.5 and 3.6 at most.
 _COARSE_EVIDENCE, _COARSE_LEFT = 0.5, (2.0, 1.5)
 #: Relative difference of depths of one surface, and rounds in which a rectangle's light settles.
 _ONE_SURFACE, _LIGHT_ROUNDS = 0.02, 3
-#: Origin of the rectangles of fits in the null channel's window.
+#: Origin of the fitted rectangles' coordinates in the null channel's window.
 _ORIGIN = np.array([WINDOW // 2, WINDOW // 2, 0.0, 0.0])
 
 
@@ -211,7 +211,7 @@ class _Search:
         return self.ascent.evidence.left(vergence_per_m, rectangle, light)[self.inside]
 
     def _left(self, vergence_per_m: float, rectangle: Rectangle, light: FloatArray) -> float:
-        """Its mean over the blob."""
+        """Mean over the blob of the energy that a rectangle leaves."""
         return float(self._energy(vergence_per_m, rectangle, light)[self.own].mean())
 
 
@@ -220,7 +220,7 @@ class _Ascent:
     """Ascent of the evidence over rectangles and depths."""
 
     evidence: RectangleEvidence
-    limits: FloatArray  # (2, 2), least and largest (row, column) of an object's pixels
+    limits: FloatArray  # (2, 2), least and largest (row, column) of the blob, at the edges of its pixels
     candidates: FloatArray  # vergences, evenly spaced
     surface_per_m: float
 
@@ -266,6 +266,6 @@ class _Ascent:
         return vergence, rectangle
 
     def is_allowed(self, rectangle: Rectangle) -> bool:
-        """Whether a rectangle lies within the object's pixels and is no smaller than the least one."""
+        """Whether a rectangle lies within the blob and is no smaller than the least one."""
         places = zip(rectangle[:2].tolist(), rectangle[2:].tolist(), *self.limits.tolist(), strict=True)
         return all(half >= _LEAST_HALF and low <= mid - half and mid + half <= high for mid, half, low, high in places)
