@@ -34,7 +34,9 @@ _COLOURS = 4
 # _LIMITS x _LIMITS limits of width and length.
 _CELLS = 256
 _LIMITS = 9
+#: Most candidates of a pair of phases.
 _LONGEST = 16
+#: Pairs of phases whose overlaps with all sizes are held at once.
 _CELLS_AT_ONCE = 256
 
 
@@ -153,7 +155,7 @@ def candidates(table: SizeTable, period_dbu: tuple[int, int], min_gap_dbu: float
 def _first_limit(size_dbu: NDArray[np.int32], period_dbu: int, min_gap_dbu: float) -> NDArray[np.int64]:
     """Index of the first limit that holds each size.
 
-    Limits rise evenly from the largest size that fits next to the largest one, to the largest one.
+    Limits rise evenly from the largest size that fits next to the largest pillar, up to that pillar's size.
     """
     largest = float(size_dbu.max())
     return np.searchsorted(np.linspace(2.0 * (period_dbu - min_gap_dbu) - largest, largest, _LIMITS) + 1e-6, size_dbu)

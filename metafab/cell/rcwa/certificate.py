@@ -56,7 +56,7 @@ class Claim:
     """A bound on the error at one truncation, for cells of the measured kind."""
 
     floor: float  #: Smallest bound of this claim.
-    #: (earlier orders, factor from the difference to them to the bound); all must be solved.
+    #: (earlier orders, bound over the difference to them); all of these orders must be solved.
     shares: tuple[tuple[int, float], ...]
 
 

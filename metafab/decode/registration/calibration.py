@@ -53,7 +53,7 @@ class Calibration:
     def block_weights(self, shape: tuple[int, int], step: int, block: int) -> NDArray[np.float32]:
         """Interpolation weights of the field points at the centre of each block of ``block`` downsampled pixels a side.
 
-        The downsampled window has the shape (n_y, n_x), a step of ``step`` frame pixels.
+        The downsampled window has ``shape``, (n_y, n_x), and one pixel for every ``step`` frame pixels.
 
         Returns:
             Shape (n_block_y, n_block_x, n_field).

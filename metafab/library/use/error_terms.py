@@ -16,8 +16,8 @@ from metafab.library.library import Library
 
 #: Sizes solved for oblique light, each standing for an equal share of the pillars.
 _OBLIQUE_SAMPLES = 8
-#: Error of the solution along the axis, whose truncation the one from the side shares: its error is common to both and
-#: cancels. The changes of three draws of sizes were within 0.9 % of those at 8 cosines.
+#: Target error of the solution along the axis. The oblique one has the same truncation, whose error is common to both
+#: and cancels. The changes of three draws of sizes were within 0.9 % of those at 8 cosines.
 _SOLVER_ERROR = 3e-2
 #: Sizes solved with both indices; an rms needs fewer than a maximum.
 SAMPLES = 16
@@ -81,7 +81,7 @@ def _largest_change(before: ComplexArray, after: ComplexArray) -> float:
 def index_phase_error_rad(library: Library, *, samples: int = SAMPLES) -> float | None:
     """Return the rms phase error (rad) by the standard uncertainty ``n_error`` of the pillar's index.
 
-    None where ``n_error`` is 0: it is not stated, and no index is certain.
+    None where ``n_error`` is 0, which means that it is not stated.
 
     ``samples`` sizes, spread evenly over the sweep, are solved with the index as given and with the index raised by
     ``n_error``; see :func:`phase_rms_rad`.
