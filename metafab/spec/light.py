@@ -22,7 +22,7 @@ class Light:
     #: Angle of incidence in the x-z plane, in the medium of incidence, of light that travels towards +x; it needs
     #: `sweep.axes.angle_x_deg`.
     angle_x_deg: Angle = 0.0
-    angle_y_deg: Angle = 0.0  #: Likewise in the y-z plane; a light has one of both.
+    angle_y_deg: Angle = 0.0  #: Likewise in the y-z plane; a light has at most one of the two.
     #: Phase terms of this light; without the key those of the design, at this wavelength.
     phase: Annotated[tuple[PhaseTerm, ...] | None, Field(min_length=1)] = None
 

@@ -31,9 +31,10 @@ _FILE_KEYS = {"file", "texture_file", "amplitude_file", "table_file", "image_fil
 #: Largest accepted file (MB), unless the limit ``memory_mb`` is stated; an outline of 100 000 vertices is smaller.
 _LARGEST_MB = 4.0
 
-#: A key of more than 32 dotted parts, whose parsing takes time quadratic in their number; keys of a design have 5.
+#: One part of a dotted key, bare or quoted.
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+"""
-#: A key begins behind no backslash: without that, each escaped quote of a text would be tried to the end of its line.
+#: A key of more than 32 dotted parts, whose parsing takes time quadratic in their number; a design has 5. A key
+#: begins behind no backslash: without that, each escaped quote of a text would be tried to the end of its line.
 _LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_PART}\.[ \t]*+){{32}}")
 
 

@@ -74,7 +74,7 @@ class LibraryCheck:
             sentences.append(
                 f"{self.vacuous} of {self.samples} samples have bounds that together are {VACUOUS:g} or more (library: "
                 f"at most {self.max_stated_error:.2g}, {self.against}: {self.max_solver_error:.2g}), which exclude "
-                "hardly any amplitude: to hold them means nothing. The errors found are worth what they are; a smaller "
+                "hardly any amplitude: an error within them proves nothing, but the errors found are valid; a smaller "
                 "`sweep.size_grid_nm` lowers the library's bounds"
             )
         return sentences
