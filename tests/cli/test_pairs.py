@@ -82,5 +82,5 @@ def test_a_design_without_a_scene_has_no_calibration(job: Job) -> None:
 def test_options_that_answer_the_same_are_refused(tmp_path: Path, options: tuple[str | Path, ...]) -> None:
     answer = metafab("psf", "--ideal", "--design", SMALL, *options, "-o", tmp_path / "psf.h5")
     assert answer.code == 2
-    assert "answers itself" in answer.stderr
+    assert "sets itself" in answer.stderr
     assert not (tmp_path / "psf.h5").exists()
