@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
+import os
 import tomllib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -29,7 +30,8 @@ from metafab.core.parallel.processes import begin_copy, can_fork
 KERNELS = Path(__file__).with_name("kernels.toml")
 #: Most processes; two more than these find nothing left that is needed early.
 _MOST_PROCESSES = 4
-_NO_MORE = 1 << 30
+#: Most files of a list; the number of each is one byte.
+_MOST_FILES = 256
 
 #: Kernels of one file, each with the numba types of its arguments.
 FileKernels = list[tuple[Any, tuple[Any, ...]]]
@@ -52,53 +54,68 @@ def compiling_ahead(workers: int | None = None, table: Path = KERNELS) -> Iterat
     """Start up to ``workers`` processes that compile the listed kernels once this block has had to compile one.
 
     By default there is one a core. None are started for a single worker, or where this process cannot be forked. At the
-    end of the block they finish the file they are at.
+    end of the block they finish the file they are at; an error in the block ends them.
     """
     helpers = _Helpers(min(workers or default_workers(), _MOST_PROCESSES), table)
     try:
         with after_first_compilation(helpers.start):
             yield
+    except BaseException:
+        helpers.kill()
+        raise
     finally:
         helpers.end()
 
 
 class _Helpers:
-    """Processes that compile, and the position of the next file in the list that they share."""
+    """Processes that compile, and a pipe with one byte for each file that none has taken: its number in the list.
+
+    A process that is killed leaves nothing locked.
+    """
 
     def __init__(self, count: int, table: Path) -> None:
         self._count, self._table = count, table
         self._processes: list[BaseProcess] = []
-        self._position: Any = None
+        self._numbers: int | None = None
 
     def start(self) -> None:
-        """Fork the processes, which inherit the imported kernels."""
-        if self._count == 1 or not can_fork():
+        """Fork the processes, which inherit the imported kernels; fewer or none where the system has no room."""
+        if self._count == 1 or not can_fork() or multiprocessing.current_process().daemon:
             return
-        files, forking = listed_kernels(self._table), multiprocessing.get_context("fork")
-        self._position = forking.Value("l", 0)
+        files = listed_kernels(self._table)
+        self._numbers, end = os.pipe()
+        os.write(end, bytes(range(len(files))))
+        os.close(end)
         for _ in range(self._count):
-            process = forking.Process(target=_compile_files, args=(files, self._position), daemon=True)
-            self._processes.append(process)
-            with held_interrupts():
-                process.start()
+            process = multiprocessing.get_context("fork").Process(
+                target=_compile_files, args=(files, self._numbers), daemon=True
+            )
+            try:
+                with held_interrupts():
+                    process.start()
+                    self._processes.append(process)
+            except OSError:  # no memory, or no process left to this user
+                return
+
+    def kill(self) -> None:
+        """End the processes now; what they are compiling is lost."""
+        for process in self._processes:
+            process.kill()
 
     def end(self) -> None:
         """Give out no further files, and wait for the processes."""
-        if self._position is not None:
-            self._position.value = _NO_MORE
+        if self._numbers is not None:
+            os.read(self._numbers, _MOST_FILES)
         for process in self._processes:
             process.join()
+        if self._numbers is not None:
+            os.close(self._numbers)
 
 
-def _compile_files(files: list[FileKernels], position: Any) -> None:
-    """Compile the kernels of one file after the other; ``position`` is that of the next, shared by all processes."""
+def _compile_files(files: list[FileKernels], numbers: int) -> None:
+    """Compile the kernels of one file after the other, as the pipe ``numbers`` gives them out."""
     begin_copy()
     gc.disable()
-    while True:
-        with position.get_lock():
-            index = position.value
-            position.value += 1
-        if index >= len(files):
-            return
-        for kernel, types in files[index]:
+    while number := os.read(numbers, 1):
+        for kernel, types in files[number[0]]:
             kernel.compile(types)

@@ -65,12 +65,15 @@ def _compile_once(kernel: Any, compile_or_load: Callable[[Any], Any], source: st
     """Compile ``kernel`` of the file ``source`` for the types of ``arguments``, or load it from the cache."""
     # Compiler lock first: a thread that held a file's lock while it waited for the compiler would stop the one that has
     # the compiler.
-    with global_compiler_lock, _alone_with(source):
-        misses = sum(kernel.stats.cache_misses.values())
-        entry_point = compile_or_load(arguments)
-        was_compiled = sum(kernel.stats.cache_misses.values()) > misses
-    if was_compiled and not _held and _followers:
-        _followers.pop()()
+    with global_compiler_lock:
+        with _alone_with(source):
+            misses = sum(kernel.stats.cache_misses.values())
+            entry_point = compile_or_load(arguments)
+            was_compiled = sum(kernel.stats.cache_misses.values()) > misses
+        # Taken under the lock, called without it: a forked process would inherit the lock.
+        followers = [_followers.pop()] if was_compiled and not _held and _followers else []
+    for follow in followers:
+        follow()
     return entry_point
 
 
@@ -93,6 +96,10 @@ def _alone_with(source: str) -> Iterator[None]:
                     break
                 else:
                     break
-            yield
+            try:
+                yield
+            finally:
+                with suppress(OSError):  # closing alone would leave the lock to processes that were forked meanwhile
+                    fcntl.flock(stream, fcntl.LOCK_UN)
     finally:
         _held.discard(source)

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import fcntl
 import inspect
+import multiprocessing
 import os
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
-from metafab.core.numeric.ahead import listed_kernels
+import pytest
+
+from metafab.core.numeric import ahead, compiled
+from metafab.core.numeric.ahead import compiling_ahead, listed_kernels
 
 #: Compiles one kernel, waits until a process that this starts compiles the other one, calls that, and prints how often
 #: it was compiled here and read from the cache.
@@ -53,3 +60,56 @@ def test_a_kernel_that_another_process_compiles_is_waited_for(tmp_path: Path) ->
         check=True,
     )
     assert done.stdout.split() == ["0", "1"], done.stderr
+
+
+def _compile_ahead(table: Path) -> None:
+    """Take the place of a run whose first kernel had to be compiled."""
+    with compiling_ahead(2, table):
+        compiled._followers.pop()()
+
+
+@pytest.fixture
+def empty_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A list without kernels, and leave to fork beside the threads of other tests."""
+    monkeypatch.setattr(ahead, "can_fork", lambda: True)
+    table = tmp_path / "kernels.toml"
+    table.write_text("", encoding="utf-8")
+    return table
+
+
+def test_a_run_goes_on_without_help_where_no_process_can_be_started(
+    empty_table: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused() -> int:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr(os, "fork", refused)
+    _compile_ahead(empty_table)
+
+
+def test_a_worker_of_another_pool_runs_without_help(empty_table: Path) -> None:
+    worker = multiprocessing.get_context("fork").Process(target=_compile_ahead, args=(empty_table,), daemon=True)
+    worker.start()
+    worker.join()
+    assert worker.exitcode == 0
+
+
+def test_an_error_ends_the_processes_at_once(empty_table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ahead, "_compile_files", lambda files, numbers: time.sleep(60.0))
+    began_s = time.monotonic()
+    with pytest.raises(KeyError), compiling_ahead(2, empty_table):
+        compiled._followers.pop()()
+        raise KeyError
+    assert time.monotonic() - began_s < 30.0
+
+
+def test_a_process_forked_during_a_compilation_does_not_keep_the_lock(tmp_path: Path) -> None:
+    source = tmp_path / "kernels.py"
+    source.touch()
+    with compiled._alone_with(str(source)):
+        forked = multiprocessing.get_context("fork").Process(target=threading.Event().wait, daemon=True)
+        forked.start()
+    with source.open("rb") as stream:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    forked.kill()
+    forked.join()
