@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -19,6 +20,7 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+_log = logging.getLogger(__name__)
 
 #: Seconds that a process waits for another one to compile the kernels of a file (the longest take 3 s).
 _LONGEST_WAIT_S = 20.0
@@ -41,13 +43,23 @@ def compiled(function: Function) -> Function:
     Division follows NumPy (x / 0 is infinite, nothing is raised), which lets loops with quotients be vectorised. The
     interpreter lock is released, so that :func:`metafab.core.parallel.executor.spread` can run parts of a loop in
     threads: numba's own parallel loops take three times as long to compile. A process that needs a kernel while another
-    one compiles it waits and reads it from the cache.
+    one compiles it waits and reads it from the cache. Where no folder for the cache can be written, each process
+    compiles its kernels itself, and a warning says so once.
     """
-    options: Any = {"cache": True, "nogil": True, "fastmath": False, "error_model": "numpy", "no_cfunc_wrapper": True}
-    kernel: Any = numba.njit(**options)(function)
+    options: Any = {"nogil": True, "fastmath": False, "error_model": "numpy", "no_cfunc_wrapper": True}
+    try:
+        kernel: Any = numba.njit(cache=True, **options)(function)
+    except RuntimeError:  # numba finds no folder for the cache
+        _warn_uncached()
+        return cast("Function", numba.njit(**options)(function))
     if hasattr(kernel, "compile"):  # numba is not disabled
         kernel.compile = partial(_compile_once, kernel, kernel.compile, function.__code__.co_filename)
     return cast("Function", kernel)
+
+
+@cache
+def _warn_uncached() -> None:
+    _log.warning("no cache for compiled kernels can be written, so each process compiles them: set NUMBA_CACHE_DIR")
 
 
 @contextmanager

@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
+from numba.core.caching import CompileResultCacheImpl
 
 from metafab.core.numeric import ahead, compiled
 from metafab.core.numeric.ahead import compiling_ahead, listed_kernels
@@ -113,3 +114,21 @@ def test_a_process_forked_during_a_compilation_does_not_keep_the_lock(tmp_path: 
         fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
     forked.kill()
     forked.join()
+
+
+def test_kernels_run_where_no_cache_can_be_written(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
+    compiled._warn_uncached.cache_clear()
+    kernels = [compiled.compiled(function) for function in (_double, _negative)]
+    assert [kernel(2) for kernel in kernels] == [4, -2]
+    assert [record.getMessage().partition(":")[2] for record in caplog.records] == [" set NUMBA_CACHE_DIR"]
+
+
+def _double(number: int) -> int:
+    return 2 * number
+
+
+def _negative(number: int) -> int:
+    return -number
