@@ -129,9 +129,9 @@ class Outline:
     def _ring_of(self, polygon: IntArray) -> tuple[int, int] | None:
         """(outer diameter, outer diameter) of a ring with its slit anywhere; None for other shapes."""
         loops, circle = _loops(polygon), Outline("ellipse", self.database_unit_nm)
-        sizes = sorted((circle.size_of(loop) or (0, 0) for loop in loops), reverse=True)
+        sizes = sorted((size for loop in loops if (size := circle.size_of(loop)) is not None), reverse=True)
         centres = {tuple((loop.min(axis=0) + loop.max(axis=0)).tolist()) for loop in loops}
-        if len(loops) != 2 or len(centres) != 1:
+        if len(loops) != 2 or len(sizes) != 2 or len(centres) != 1:
             return None
         outer, hole = sizes
         return outer if outer[0] == outer[1] and hole == (self.hole_of(outer[0]),) * 2 else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from shapely import affinity
 from shapely.geometry import Point, Polygon, box
@@ -71,6 +71,7 @@ def test_an_outline_is_known_however_it_is_drawn(
 @pytest.mark.parametrize("ring", [Outline("ring", 0.5, wall_dbu=90), Outline("ring", 0.5, hole_dbu=150)])
 @settings(max_examples=40)
 @given(width=st.integers(150, 350).map(lambda half: 2 * half), turns=st.integers(0, 3), start=st.integers(0, 40))
+@example(width=360, turns=0, start=0)  # its hole has the diameter at which a ring has none
 def test_a_ring_is_one_polygon_of_a_circle_less_its_hole(ring: Outline, width: int, turns: int, start: int) -> None:
     hole = width - 180 if ring.wall_dbu else 150
     circle, vertices = Outline("ellipse", 0.5), ring.vertices(width, width)
