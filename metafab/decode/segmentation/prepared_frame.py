@@ -253,6 +253,8 @@ class PreparedFrame:
         mask = binary_fill_holes(component == component[core][0])
         within = distance(~mask)
         inner, outline = self.plain[mask & (within > reach)], mask & (within <= 1.0)
+        if mask.all():  # Light that fills the frame has no outline.
+            return none
         if not inner.size or inner.mean() < _PLAIN_SHARE or (mask & self._smooth_cores & ~core).any():
             return none
         nearest_to_core, farthest = np.quantile(away[outline], [0.05, 0.95])
