@@ -2,7 +2,8 @@
 
 numba compiles one kernel at a time in a process. On a machine whose cache is empty, the first kernel that a run has to
 compile starts these processes; they take the files of ``kernels.toml`` in turn, which are listed in the order of need.
-Where a run needs a kernel that is not there yet, it compiles it itself.
+Where a run needs a kernel that is not there yet, it compiles it itself. numba is imported with the list alone: a run
+with nothing to do needs none.
 """
 
 from __future__ import annotations
@@ -12,15 +13,12 @@ import multiprocessing
 import os
 import tomllib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from numba.core.sigutils import normalize_signature
-
-from metafab.core.numeric.compiled import after_first_compilation
 from metafab.core.parallel.executor import default_workers
 from metafab.core.parallel.interrupts import held_interrupts
 from metafab.core.parallel.processes import begin_copy, can_fork
@@ -39,6 +37,8 @@ FileKernels = list[tuple[Any, tuple[Any, ...]]]
 
 def listed_kernels(table: Path = KERNELS) -> list[FileKernels]:
     """Import and return the listed kernels, file by file."""
+    from numba.core.sigutils import normalize_signature
+
     return [
         [
             (getattr(import_module(module), name), normalize_signature(types)[0])  # type: ignore[no-untyped-call]
@@ -57,14 +57,22 @@ def compiling_ahead(workers: int | None = None, table: Path = KERNELS) -> Iterat
     end of the block they finish the file they are at; an error in the block ends them.
     """
     helpers = _Helpers(min(workers or default_workers(), _MOST_PROCESSES), table)
+    _waiting.append(helpers)
     try:
-        with after_first_compilation(helpers.start):
-            yield
+        yield
     except BaseException:
         helpers.kill()
         raise
     finally:
+        with suppress(ValueError):
+            _waiting.remove(helpers)
         helpers.end()
+
+
+def start_helpers() -> None:
+    """Start the processes that wait for this process' first compilation; called after each one, without locks."""
+    with suppress(IndexError):
+        _waiting.pop().start()
 
 
 class _Helpers:
@@ -110,6 +118,10 @@ class _Helpers:
             process.join()
         if self._numbers is not None:
             os.close(self._numbers)
+
+
+#: Processes that no compilation has started yet, of the block that began last at the end.
+_waiting: list[_Helpers] = []
 
 
 def _compile_files(files: list[FileKernels], numbers: int) -> None:

@@ -14,6 +14,8 @@ import numba
 import numba.extending
 from numba.core.compiler_lock import global_compiler_lock
 
+from metafab.core.numeric.ahead import start_helpers
+
 try:
     import fcntl
 except ImportError:  # Windows
@@ -27,8 +29,6 @@ _LONGEST_WAIT_S = 20.0
 _POLL_S = 0.005
 #: Files whose kernels this process is compiling.
 _held: set[str] = set()
-#: Called after the next compilation, then forgotten.
-_followers: list[Callable[[], None]] = []
 
 
 def inlined(function: Function) -> Function:
@@ -62,30 +62,17 @@ def _warn_uncached() -> None:
     _log.warning("no cache for compiled kernels can be written, so each process compiles them: set NUMBA_CACHE_DIR")
 
 
-@contextmanager
-def after_first_compilation(follow: Callable[[], None]) -> Iterator[None]:
-    """Call ``follow`` within this block when a kernel had to be compiled, once, in the thread that compiled it."""
-    _followers.append(follow)
-    try:
-        yield
-    finally:
-        with suppress(ValueError):
-            _followers.remove(follow)
-
-
 def _compile_once(kernel: Any, compile_or_load: Callable[[Any], Any], source: str, arguments: Any) -> Any:
     """Compile ``kernel`` of the file ``source`` for the types of ``arguments``, or load it from the cache."""
     # Compiler lock first: a thread that held a file's lock while it waited for the compiler would stop the one that has
     # the compiler.
-    with global_compiler_lock:
-        with _alone_with(source):
-            misses = sum(kernel.stats.cache_misses.values())
-            entry_point = compile_or_load(arguments)
-            was_compiled = sum(kernel.stats.cache_misses.values()) > misses
-        # Taken under the lock, called without it: a forked process would inherit the lock.
-        followers = [_followers.pop()] if was_compiled and not _held and _followers else []
-    for follow in followers:
-        follow()
+    with global_compiler_lock, _alone_with(source):
+        misses = sum(kernel.stats.cache_misses.values())
+        entry_point = compile_or_load(arguments)
+        was_compiled = sum(kernel.stats.cache_misses.values()) > misses
+    # Without the locks, which a forked process would inherit.
+    if was_compiled and not _held:
+        start_helpers()
     return entry_point
 
 

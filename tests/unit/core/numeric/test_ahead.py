@@ -66,7 +66,7 @@ def test_a_kernel_that_another_process_compiles_is_waited_for(tmp_path: Path) ->
 def _compile_ahead(table: Path) -> None:
     """Take the place of a run whose first kernel had to be compiled."""
     with compiling_ahead(2, table):
-        compiled._followers.pop()()
+        ahead.start_helpers()
 
 
 @pytest.fixture
@@ -99,7 +99,7 @@ def test_an_error_ends_the_processes_at_once(empty_table: Path, monkeypatch: pyt
     monkeypatch.setattr(ahead, "_compile_files", lambda files, numbers: time.sleep(60.0))
     began_s = time.monotonic()
     with pytest.raises(KeyError), compiling_ahead(2, empty_table):
-        compiled._followers.pop()()
+        ahead.start_helpers()
         raise KeyError
     assert time.monotonic() - began_s < 30.0
 
