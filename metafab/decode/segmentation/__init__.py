@@ -6,11 +6,8 @@
 - ``layer_light``     light of layers in tiles: its blur on the downsampled pixels
 - ``tile_shares``     a round of expectation and maximisation: light and shares of the layers in some tiles
 - ``shares``          outlines from a model of the frame with occlusion
-- ``fit``             null energy of the twins by place: whether a segment explains its pixels; continuous surfaces;
-                      plain objects by their outlines
-- ``null_channel``    difference of the twins in which a surface vanishes, and the evidence of light before it
-- ``object_fit``      depth of a rectangle of light before a surface, by a model of both images with occlusion
-- ``small_objects``   rectangles of light before a segment, by ascent of their evidence
+- ``fit``             null energy of the twins by place: whether a segment explains its pixels; continuous surfaces
+- ``objects``         objects that the segments of textured pixels miss: small ones, plain ones
 - ``segments``        layers of depth, connected segments, the depth of a segment; Regions: all segments of a frame
 - ``regions``         CostVolume and PixelDepth -> Regions: the whole way
 """

@@ -3,7 +3,7 @@
 At the right depth the filtered twins a and b of a texture are equal up to the contrast, and their residual is noise.
 Its square over the noise's variance, the null energy, is 1 in the mean. At a wrong depth, or where the blur of two
 depths mixes, it is larger. The noise is known, so that no other scale is needed but the calibration's own error, a
-share of the texture's energy that the segments' interiors show. Plain objects have structure along outlines alone.
+share of the texture's energy that the segments' interiors show.
 """
 
 from __future__ import annotations
@@ -18,19 +18,15 @@ from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance, nearest
-from metafab.decode.confidence import LARGEST_ERROR, differs
-from metafab.decode.matching.cost_volume import CostVolume, correlation
-from metafab.decode.matching.depth import PixelDepth, spline_peaks
+from metafab.decode.confidence import differs
+from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.matching.semi_global import cheapest_levels
-from metafab.decode.segmentation.planes import Plane, cell_side
+from metafab.decode.segmentation.planes import Plane
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
 from metafab.decode.segmentation.segments import (
     Regions,
-    SegmentDepth,
-    grown,
-    segment_depth,
-    with_error_of_straight,
 )
 
 #: Side of the window over which the null energy is averaged, frame pixels.
@@ -43,18 +39,10 @@ _FOREIGN, _FOREIGN_SHARE = 3.0, 0.06
 
 #: Distance from an outline beyond which light that does not fit is not that of the other side, frame pixels.
 _OUTLINE_LIGHT_PX = 20
-#: Distance from a plain object's outline up to which its depth is measured, frame pixels.
-_RIM_PX = 12.0
-#: Ratio of the jackknife's error to that of noise up to which an outline has one depth: it has 0.7 to 2 then, and 4
-#: with a third of it 30 % farther.
-_ONE_OUTLINE = 3.0
-#: Distance from other light up to which that is mixed in, frame pixels.
-_CLEAR_PX = 24.0
-#: Distance from a plain object up to which segments of its outline are grown, frame pixels, and share of a segment
-#: within it from which that is such a one, if it has the object's depth.
-_REACHED_PX, _REACHED_SHARE = WINDOW_PX + _RIM_PX, 0.9
 #: Side of the window of the misfit that surfaces are found by, frame pixels, and its least value: less is chance.
 _SURFACE_WINDOW_PX, _LEAST_MISFIT = 15, 0.2
+#: Standard errors of a pixel from which its depth is changed.
+_CHANGED_ERRORS = 2.5
 #: Levels of vergence of a surface to a candidate depth.
 _LEVELS = 4
 #: Prices of a change by one level and of a jump, in logarithms of the misfit. Half or twice as much of either changes
@@ -110,6 +98,11 @@ class TwinEnergies:
         """Null energy over what noise and an error of the calibration, a share of the texture, explain: shape (...)."""
         return np.asarray(self.null_energy / (np.float32(1.0) + np.float32(model_error) * self.energy))
 
+    @property
+    def is_foreign(self) -> NDArray[np.bool_]:
+        """Shape (...), whether noise and the calibration's least error leave less: light of another depth."""
+        return np.asarray((self.over_noise() > _FOREIGN) & (self.null_energy > _FOREIGN_SHARE * self.energy))
+
 
 @dataclass(frozen=True)
 class Misfit:
@@ -139,6 +132,27 @@ def log_misfit(prepared: PreparedFrame, products: NDArray[np.float32], noise_gai
     window = max(3, _SURFACE_WINDOW_PX // prepared.downsampling.step | 1)
     energies = TwinEnergies.of(window_means(products, window), prepared, noise_gain)
     return np.asarray(np.log(np.maximum(energies.over_noise(), np.float32(_LEAST_MISFIT))))
+
+
+def explains_better(
+    regions: Regions, than: Regions, prepared: PreparedFrame, volume: CostVolume, pixels: PixelDepth
+) -> bool:
+    """Whether less of the twins is left at the depths of some segments than at those of others.
+
+    More segments than the others must explain the pixels whose depths they change by more than their errors: elsewhere
+    the fewer ones suffice, and what is left of the twins differs by chance and by outlines.
+    """
+    both = pixels.claimed & (regions.grown > 0) & (than.grown > 0)
+    depths = [np.where(both, of.vergence_per_m(of.grown), volume.vergences_per_m[0]) for of in (regions, than)]
+    judged = both
+    if len(regions.depths) >= len(than.depths):
+        judged = both & (np.abs(depths[0] / depths[1] - 1.0) > _CHANGED_ERRORS * pixels.relative_error)
+
+    def left(vergence_per_m: FloatArray) -> float:
+        products = volume.at(vergence_per_m[None])[:, 0]
+        return float(log_misfit(prepared, products, volume.noise_gain)[judged].mean())
+
+    return bool(judged.any()) and left(depths[0]) < left(depths[1])
 
 
 def surface_per_m(prepared: PreparedFrame, volume: CostVolume) -> FloatArray:
@@ -178,114 +192,6 @@ def misfit_at(
         share = max(share, excess / max(textured, 1e-9))
     of_texture = null / np.maximum(energy, np.float32(1e-6))
     return Misfit(local.over_noise(share).astype(np.float32), of_texture.astype(np.float32), share)
-
-
-def with_plain_objects(regions: Regions, prepared: PreparedFrame, volume: CostVolume) -> Regions:
-    """Add the segments of plain objects, each at the depth of its outline, in place of those of the outline alone.
-
-    An outline before segments that are not farther may be theirs, and gives none.
-    """
-    objects, step = prepared.plain_objects, prepared.downsampling.step
-    if not objects.any():
-        return regions
-    own, segments, found = np.zeros(objects.shape, dtype=np.int32), regions.grown, list[SegmentDepth]()
-    sizes = np.bincount(segments.ravel(), minlength=len(regions.depths) + 1)
-    vergences = np.array([np.inf, *(depth.vergence_per_m for depth in regions.depths)])
-    of_outline = np.zeros(sizes.shape, dtype=bool)
-    for number in range(1, int(objects.max()) + 1):
-        mask = objects == number
-        beyond_px = distance(mask) * step
-        depth, in_the_dark = outline_depth(prepared, volume, mask, beyond_px)
-        if depth is None:
-            continue
-        reached = np.bincount(segments[beyond_px <= _REACHED_PX], minlength=sizes.size)
-        same = ~differs(vergences, np.array(depth.vergence_per_m))
-        rings = same & (reached > _REACHED_SHARE * sizes)
-        around = segments[~mask & (beyond_px <= _CLEAR_PX)]
-        around = around[(around > 0) & ~rings[around]]
-        farther = ~same[around] & (vergences[around] < depth.vergence_per_m)
-        if not in_the_dark and 2 * farther.sum() < farther.size:
-            continue
-        found.append(depth)
-        own[mask] = len(found)
-        of_outline |= rings
-    of_outline |= np.bincount(segments[own == 0], minlength=sizes.size) == 0
-    of_outline[0] = False
-    renumbered = np.where(of_outline, 0, np.cumsum(~of_outline) - 1)
-    depths = [depth for depth, left_out in zip(regions.depths, of_outline[1:].tolist(), strict=True) if not left_out]
-
-    def painted(segment: NDArray[np.int32]) -> NDArray[np.int32]:
-        return np.where(own > 0, len(depths) + own, renumbered[segment]).astype(np.int32)
-
-    others = np.where(own > 0, 0, renumbered[segments]).astype(np.int32)
-    lost = of_outline[segments] & (own == 0)
-    wide = np.where(lost, grown(others, _REACHED_PX / step), painted(segments))
-    pictures = painted(regions.label), painted(regions.interior), wide
-    return replace(regions, depths=(*depths, *found), label=pictures[0], interior=pictures[1], grown=pictures[2])
-
-
-def outline_depth(
-    prepared: PreparedFrame, volume: CostVolume, mask: NDArray[np.bool_], beyond_px: NDArray[np.float32]
-) -> tuple[SegmentDepth | None, bool]:
-    """Depth of the outline of a plain object, and whether it was measured next to darkness.
-
-    None if the outline lies along one straight line, has parts at different depths, or mixes with other light.
-
-    Args:
-        prepared: the frame.
-        volume: cost volume.
-        mask: shape (n_y, n_x), pixels of the object.
-        beyond_px: shape (n_y, n_x), distance from them, frame pixels.
-    """
-    step = prepared.downsampling.step
-    inner = mask & (distance(~mask) * step <= _RIM_PX)
-    # Darkness has no depth of its own: next to it, both sides show the outline.
-    both = inner | (~mask & (beyond_px <= _RIM_PX))
-    dark = both & (distance(prepared.lit & (beyond_px > _RIM_PX)) * step > _CLEAR_PX)
-    in_the_dark = bool(2 * dark.sum() > both.sum())
-    rim = dark if in_the_dark else inner
-    pixels, sums = float(rim.sum()), volume.label_sums(rim.astype(np.int32), 1)[0]
-    depth = segment_depth(volume, sums, pixels)
-    depth = with_error_of_straight(depth, prepared.inner.sum(axis=0), rim, volume.samples)
-    error = jackknife_error(volume, rim, sums, step)
-    if depth.error_factor > 1.0 or not error < min(LARGEST_ERROR, _ONE_OUTLINE * depth.relative_error):
-        return None, in_the_dark
-    if is_mixed(prepared, volume, rim, depth.vergence_per_m):
-        return None, in_the_dark
-    error = max(error, depth.relative_error)
-    return replace(depth, relative_error=error, pixels=pixels, of_outline=True), in_the_dark
-
-
-def is_mixed(prepared: PreparedFrame, volume: CostVolume, mask: NDArray[np.bool_], vergence_per_m: float) -> bool:
-    """Whether the pixels of a mask, shape (n_y, n_x), hold light of another depth, by their mean products."""
-    products = volume.at(np.array([vergence_per_m]))[:, 0][:, mask].mean(axis=1)
-    x, y = volume.noise_gain * prepared.variance[:, mask].mean(axis=1)
-    energies = TwinEnergies((products / np.array([np.sqrt(x * y), x, y])).astype(np.float32))
-    return bool(energies.over_noise() > _FOREIGN and energies.null_energy > _FOREIGN_SHARE * energies.energy)
-
-
-def jackknife_error(volume: CostVolume, mask: NDArray[np.bool_], sums: FloatArray, step: int) -> float:
-    """Relative standard error of a segment's depth by the jackknife over its cells.
-
-    Args:
-        volume: cost volume.
-        mask: shape (n_y, n_x), pixels of the segment.
-        sums: shape (3, n_candidates), products summed over them.
-        step: frame pixels from one downsampled pixel to the next.
-
-    Returns:
-        The error; inf for a single cell, or if the depth leaves the calibrated range without one of them.
-    """
-    row, column = np.nonzero(mask)
-    side, cell = cell_side(step), np.zeros(mask.shape, dtype=np.int32)
-    numbers, index = np.unique(row // side * mask.shape[1] + column // side, return_inverse=True)
-    cell[row, column] = 1 + index
-    without = sums - volume.label_sums(cell, numbers.size)
-    peak = spline_peaks(correlation(without.swapaxes(0, 1)))
-    if numbers.size < 2 or not peak.inside.all():
-        return float("inf")
-    vergence = volume.vergences_per_m[0] + volume.step_per_m * peak.place
-    return float(np.sqrt((numbers.size - 1) * vergence.var()) / vergence.mean())
 
 
 def fitting_segments(

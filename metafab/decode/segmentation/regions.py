@@ -22,15 +22,16 @@ from metafab.decode.segmentation.fit import (
     Misfit,
     across_outlines,
     curved_surface,
+    explains_better,
     fitting_segments,
     foreign_light,
-    log_misfit,
     misfit_at,
     plane_misfit,
     surface_per_m,
-    with_plain_objects,
 )
 from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.objects.plain_objects import with_plain_objects
+from metafab.decode.segmentation.objects.small_objects import SmallObject, small_objects
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, fit_plane, ransac_planes
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
@@ -50,7 +51,6 @@ from metafab.decode.segmentation.segments import (
     with_error_of_straight,
 )
 from metafab.decode.segmentation.shares import explained_moves, false_pieces, outline_owners
-from metafab.decode.segmentation.small_objects import SmallObject, small_objects
 
 #: Largest separation of layers, as a share of the calibrated range of vergence.
 _LAYER_SHARE = 1.0 / 24.0
@@ -313,7 +313,7 @@ def _find_regions(
     them if the pixels' depths fit clearly better: a staircase lies within the cells' errors of a plane. Segments whose
     pixels lie on a quadric of vergence become one, if there are no more of them and they explain the twins better.
     Where the pixels' depths fit no planes, segments are pieces of planes across the surface of semi-global matching, if
-    those are fewer and explain the twins no worse.
+    those explain the twins better.
     """
     segmentation = _Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
     if any(plane.tilted for plane in known):
@@ -329,14 +329,15 @@ def _find_regions(
     planes = curved_and_planes(regions, pixels, segmentation.separation_per_m)
     if any(plane.curved for plane in planes):
         curved = segmentation.of_planes(planes)
-        if len(curved.depths) <= len(regions.depths) and segmentation.explained_better(curved, regions):
+        fewer = len(curved.depths) <= len(regions.depths)
+        if fewer and explains_better(curved, regions, prepared, volume, pixels):
             return curved
     if inside.size > _MOST_SURFACE_PIXELS or plane_misfit(regions, pixels, inside, _TILTED) < _UNFIT:
         return regions
     surfaces = segmentation.of_surfaces()
-    if surfaces is None or len(surfaces.depths) >= len(regions.depths):
+    if surfaces is None or not explains_better(surfaces, regions, prepared, volume, pixels):
         return regions
-    return surfaces if segmentation.explained_better(surfaces, regions) else regions
+    return surfaces
 
 
 def _of_layers_or_planes(segmentation: _Segmentation, coarse: list[Plane], *, refined: bool) -> Regions:
@@ -479,17 +480,6 @@ class _Segmentation:
     def layers(self) -> list[Plane]:
         """Layers of one depth at the peaks of the pixels' depths."""
         return [Plane(vergence) for vergence in depth_layers(self.pixels, self.separation_per_m).tolist()]
-
-    def explained_better(self, regions: Regions, than: Regions) -> bool:
-        """Whether less of the twins is left at the depths of some segments than at those of others."""
-        volume = self.volume
-        both = self.pixels.claimed & (regions.grown > 0) & (than.grown > 0)
-
-        def left(of: Regions) -> float:
-            products = volume.at(np.where(both, of.vergence_per_m(of.grown), volume.vergences_per_m[0])[None])
-            return float(log_misfit(self.prepared, products[:, 0], volume.noise_gain)[both].mean())
-
-        return bool(both.any()) and left(regions) < left(than)
 
     def of_planes(self, planes: list[Plane]) -> Regions:
         """Segments of planes, and of the depths of pixels that clearly lie on none of them.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,8 +11,9 @@ from metafab.camera import RawFrame, capture
 from metafab.core.conventions import FloatArray
 from metafab.decode import Decoder
 from metafab.decode.evaluation import overlap
-from metafab.decode.segmentation.fit import surface_per_m
+from metafab.decode.segmentation.fit import explains_better, surface_per_m
 from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
+from metafab.decode.segmentation.segments import Regions
 from metafab.spec import Scene
 from metafab.spec.scene import Rgbd
 from tests.conjugate_pair import helix_psf
@@ -69,3 +72,22 @@ def test_a_steep_ground_and_an_object_before_it_have_their_depths(seen: tuple[De
     image = decoder(frame)
     assert image.nmae is not None and image.nmae < 0.02
     assert image.figures.share_decoded > 0.9
+
+
+def test_as_many_segments_explain_better_only_by_depths_that_differ(seen: tuple[Decoder, RawFrame]) -> None:
+    decoder, frame = seen
+    prepared = decoder.prepare(frame)
+    assert not isinstance(prepared, str)
+    volume = decoder.match(prepared)
+    pixels = textured_pixel_depth(prepared, volume)
+    regions = find_regions(prepared, volume, pixels)
+
+    def farther(share: float) -> Regions:
+        planes = [replace(d.plane, vergence_per_m=d.plane.vergence_per_m * (1.0 - share)) for d in regions.depths]
+        depths = (replace(d, plane=plane) for d, plane in zip(regions.depths, planes, strict=True))
+        return replace(regions, depths=tuple(depths))
+
+    assert explains_better(regions, farther(0.05), prepared, volume, pixels)
+    assert not explains_better(farther(0.05), regions, prepared, volume, pixels)
+    # One of the two leaves less of the twins, by chance.
+    assert not any(explains_better(farther(share), regions, prepared, volume, pixels) for share in (-1e-4, 1e-4))

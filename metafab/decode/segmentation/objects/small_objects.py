@@ -1,11 +1,12 @@
 """Small objects before a surface, from the light that does not fit the surface's depth.
 
-An object's light is left in the surface's null channel (:mod:`metafab.decode.segmentation.null_channel`). An object is
-a rectangle of even light, of a contrast of its own. Depth, place and size maximise its evidence by ascent, first in
-coarse steps. The evidence falls for rectangles that are too large as well as for those that are too small. Blobs whose
-light no rectangle explains are rejected. Depth and rectangle of the others, and the error that decides whether they
-have a depth, follow from a model of both images with occlusion (:mod:`metafab.decode.segmentation.object_fit`): an
-object of 20 px may fit two depths in the null channel, and one in the model.
+An object's light is left in the surface's null channel (:mod:`metafab.decode.segmentation.objects.null_channel`). An
+object is a rectangle of even light, of a contrast of its own. Depth, place and size maximise its evidence by ascent,
+first in coarse steps. The evidence falls for rectangles that are too large as well as for those that are too small.
+Blobs whose light no rectangle explains are rejected. Depth and rectangle of the others, and the error that decides
+whether they have a depth, follow from a model of both images with occlusion
+(:mod:`metafab.decode.segmentation.objects.object_fit`): an object of 20 px may fit two depths in the null channel, and
+one in the model.
 """
 
 from __future__ import annotations
@@ -23,8 +24,8 @@ from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR
 from metafab.decode.segmentation.layer_light import LayerOptics
-from metafab.decode.segmentation.null_channel import WINDOW, NullChannel, Rectangle, RectangleEvidence
-from metafab.decode.segmentation.object_fit import FittedObject, ObjectStart, fitted_objects
+from metafab.decode.segmentation.objects.null_channel import WINDOW, NullChannel, Rectangle, RectangleEvidence
+from metafab.decode.segmentation.objects.object_fit import FittedObject, ObjectStart, fitted_objects
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Largest side of a blob that is searched, downsampled pixels: larger objects have segments.

@@ -12,7 +12,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.decode.matching.levels import LOWEST_FREQUENCY
-from metafab.decode.segmentation.null_channel import WINDOW, NullChannel, RectangleEvidence
+from metafab.decode.segmentation.objects.null_channel import WINDOW, NullChannel, RectangleEvidence
 
 STEP, UNIT = 3, 500.0
 #: Prior of the texture and of the mean intensities, over the surface's light.

@@ -9,8 +9,8 @@ import pytest
 
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
-from metafab.decode.segmentation import object_fit
-from metafab.decode.segmentation.object_fit import FittedObject, ObjectStart, fitted_objects
+from metafab.decode.segmentation.objects import object_fit
+from metafab.decode.segmentation.objects.object_fit import FittedObject, ObjectStart, fitted_objects
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 

@@ -10,7 +10,7 @@ import pytest
 
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
-from metafab.decode.segmentation import object_fit
+from metafab.decode.segmentation.objects import object_fit
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 

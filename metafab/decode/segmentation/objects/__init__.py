@@ -1,0 +1,7 @@
+"""Objects that the segments of textured pixels miss: small ones before a surface, and plain ones.
+
+- ``null_channel``   difference of the twins in which a surface vanishes, and the evidence of light before it
+- ``object_fit``     depth of a rectangle of light before a surface, by a model of both images with occlusion
+- ``small_objects``  rectangles of light before a segment, by ascent of their evidence
+- ``plain_objects``  objects without texture, by the depth of their outlines
+"""
