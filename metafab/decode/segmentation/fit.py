@@ -25,9 +25,7 @@ from metafab.decode.matching.pooling import window_means
 from metafab.decode.matching.semi_global import cheapest_levels
 from metafab.decode.segmentation.planes import Plane
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
-from metafab.decode.segmentation.segments import (
-    Regions,
-)
+from metafab.decode.segmentation.segments import Regions
 
 #: Side of the window over which the null energy is averaged, frame pixels.
 _WINDOW_PX = 13
@@ -41,7 +39,7 @@ _FOREIGN, _FOREIGN_SHARE = 3.0, 0.06
 _OUTLINE_LIGHT_PX = 20
 #: Side of the window of the misfit that surfaces are found by, frame pixels, and its least value: less is chance.
 _SURFACE_WINDOW_PX, _LEAST_MISFIT = 15, 0.2
-#: Standard errors of a pixel from which its depth is changed.
+#: Difference of two depths of a pixel, in its standard errors, above which they are not the same.
 _CHANGED_ERRORS = 2.5
 #: Levels of vergence of a surface to a candidate depth.
 _LEVELS = 4
@@ -100,7 +98,7 @@ class TwinEnergies:
 
     @property
     def is_foreign(self) -> NDArray[np.bool_]:
-        """Shape (...), whether noise and the calibration's least error leave less: light of another depth."""
+        """Shape (...), whether light of another depth is mixed in: noise and a calibration's least error leave less."""
         return np.asarray((self.over_noise() > _FOREIGN) & (self.null_energy > _FOREIGN_SHARE * self.energy))
 
 
@@ -139,8 +137,8 @@ def explains_better(
 ) -> bool:
     """Whether less of the twins is left at the depths of some segments than at those of others.
 
-    More segments than the others must explain the pixels whose depths they change by more than their errors: elsewhere
-    the fewer ones suffice, and what is left of the twins differs by chance and by outlines.
+    If the first are as many as the others or more, only pixels are judged whose depths differ by more than their
+    errors: elsewhere either would do, and what is left of the twins differs by chance and by outlines.
     """
     both = pixels.claimed & (regions.grown > 0) & (than.grown > 0)
     depths = [np.where(both, of.vergence_per_m(of.grown), volume.vergences_per_m[0]) for of in (regions, than)]
