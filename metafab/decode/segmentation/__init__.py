@@ -5,7 +5,8 @@
 - ``outlines``        refinement of outlines by threshold dynamics
 - ``layer_light``     light of layers in tiles: its blur on the downsampled pixels
 - ``tile_shares``     a round of expectation and maximisation: light and shares of the layers in some tiles
-- ``shares``          outlines from a model of the frame with occlusion
+- ``layer_tiles``     the layers of a frame in tiles: where each may hold the light, what hides what, noise
+- ``frame_model``     FrameModel: outlines from a model of the frame with occlusion
 - ``fit``             null energy of the twins by place: whether a segment explains its pixels; continuous surfaces
 - ``objects``         objects that the segments of textured pixels miss: small ones, plain ones
 - ``segments``        layers of depth, connected segments, the depth of a segment; Regions: all segments of a frame

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +28,7 @@ from metafab.decode.segmentation.fit import (
     plane_misfit,
     surface_per_m,
 )
+from metafab.decode.segmentation.frame_model import FrameModel
 from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.objects.plain_objects import with_plain_objects
 from metafab.decode.segmentation.objects.small_objects import SmallObject, small_objects
@@ -50,7 +50,6 @@ from metafab.decode.segmentation.segments import (
     textured_components,
     with_error_of_straight,
 )
-from metafab.decode.segmentation.shares import explained_moves, false_pieces, outline_owners
 
 #: Largest separation of layers, as a share of the calibrated range of vergence.
 _LAYER_SHARE = 1.0 / 24.0
@@ -164,14 +163,7 @@ def find_regions(
         return regions
     step = prepared.downsampling.step
     if optics is not None and not regions.continuous:
-        # A plain surface has no segment that could explain the light of a piece beside it.
-        plain = set(regions.grown[distance(prepared.plain) <= 2.0].tolist())
-        narrow = [n for n, one in enumerate(regions.depths, 1) if one.pixels * step**2 < _NARROW_PX and n not in plain]
-        regions = regions.without(
-            false_pieces(prepared, regions.depths, regions.grown, regions.interior, optics, narrow)
-        )
-        owner = outline_owners(prepared, regions.depths, regions.grown, regions.interior, optics)
-        regions = regions if owner is None else regions.with_owners(owner)
+        regions = with_modelled_outlines(prepared, regions, optics)
     label = regions.grown
 
     def misfit_of(number: NDArray[np.int32], model_error: float | None = None) -> Misfit:
@@ -198,8 +190,7 @@ def find_regions(
             own = misfit_of(label)
     if optics is not None:
         reach = _OUTLINE_REACH_PX / step
-        model = (regions.depths, label, regions.interior, optics)
-        judge = None if regions.continuous else partial(explained_moves, prepared, *model)
+        judge = None if regions.continuous else FrameModel(prepared, regions, optics).explained_moves
         owner, own = fitting_segments(label, prepared.spoiled, own, at_segment, reach, judge)
         regions = regions.with_owners(owner)
         label = regions.grown
@@ -221,6 +212,20 @@ def find_regions(
     misfit_here = np.where(regions.of_outline[label], np.float32(1.0), misfit_here)
     right = right_segment(misfit_here, other.over_noise, away * step)
     return replace(regions, right=np.where(unexplained & (other.is_foreign | (across == 0)), 0.0, right))
+
+
+def with_modelled_outlines(prepared: PreparedFrame, regions: Regions, optics: LayerOptics) -> Regions:
+    """Segments by the model of the frame: without false pieces, and with the outlines that explain it."""
+    # A plain surface has no segment that could explain the light of a piece beside it.
+    plain = set(regions.grown[distance(prepared.plain) <= 2.0].tolist())
+    most = _NARROW_PX / prepared.downsampling.step**2
+    narrow = [number for number, one in enumerate(regions.depths, 1) if one.pixels < most and number not in plain]
+    model = FrameModel(prepared, regions, optics)
+    false = model.false_pieces(narrow)
+    if false:
+        model = FrameModel(prepared, regions.without(false), optics)
+    owner = model.owners()
+    return model.regions if owner is None else model.regions.with_owners(owner)
 
 
 def with_small_objects(regions: Regions, found: Sequence[SmallObject], volume: CostVolume) -> Regions:

@@ -1,4 +1,4 @@
-"""Light and shares of the layers in some tiles of a frame: one round of :mod:`metafab.decode.segmentation.shares`.
+"""Light and shares of the layers in some tiles of a frame: one round of :mod:`metafab.decode.segmentation.frame_model`.
 
 The unknowns are the transforms of the whitened textures, so that filtering and preconditioning are products. Where
 layers hide each other, radiance does not change, as in the camera: the light that this adds is that of the layers

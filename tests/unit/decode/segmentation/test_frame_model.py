@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
-from metafab.decode.segmentation import shares
+from metafab.decode.segmentation import frame_model
+from metafab.decode.segmentation.frame_model import FrameModel
+from metafab.decode.segmentation.layer_tiles import TileGroup
 from metafab.decode.segmentation.planes import Plane
-from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
-from metafab.decode.segmentation.shares import explained_moves, false_pieces, outline_owners
 from metafab.decode.segmentation.tile_shares import TileLayers
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
@@ -32,8 +33,7 @@ def test_one_surface_is_not_modelled() -> None:
     volume = decoder.match(prepared)
     regions = find_regions(prepared, volume, textured_pixel_depth(prepared, volume))
     assert len(regions.depths) == 1
-    model = (prepared, regions.depths, regions.grown, regions.interior, decoder.layer_optics)
-    assert outline_owners(*model) is None
+    assert FrameModel(prepared, regions, decoder.layer_optics).owners() is None
 
 
 def test_the_texture_of_a_corner_is_not_that_of_its_layer() -> None:
@@ -43,14 +43,14 @@ def test_the_texture_of_a_corner_is_not_that_of_its_layer() -> None:
     labelled, alone = np.ones((2, 10, 10), dtype=bool), np.zeros((2, 10, 10), dtype=bool)
     alone[0, 8:], alone[1, 2:] = True, True
     model = cast(TileLayers, None)
-    group = shares._Group([0], np.array([0, 1]), model, energy, labelled, alone)
-    assert shares._typical_energy([group], [energy], 3).tolist() == [1.0, 1.0, 1.0]
+    group = TileGroup([0], np.array([0, 1]), model, energy, labelled, alone)
+    assert frame_model._typical_energy([group], [energy], 3).tolist() == [1.0, 1.0, 1.0]
     energy[1, :6] = 2.0  # three quarters of its pixels away from outlines
-    assert shares._typical_energy([group], [energy], 3).tolist() == [1.0, 2.0, 1.0]
+    assert frame_model._typical_energy([group], [energy], 3).tolist() == [1.0, 2.0, 1.0]
 
 
 @pytest.fixture(scope="module")
-def wall_and_object() -> tuple[PreparedFrame, dict[str, Any]]:
+def wall_and_object() -> FrameModel:
     """A wall and an object before it: the frame, and segments of true depths with the labels of correlation."""
     psf = helix_psf(1.0 / np.linspace(1 / 0.0024, 1 / 0.0036, 9))
     wall, thing = SceneObject(depth_m=0.0034, size=(0.6, 0.6)), SceneObject(depth_m=0.0026, size=(0.12, 0.22))
@@ -62,54 +62,49 @@ def wall_and_object() -> tuple[PreparedFrame, dict[str, Any]]:
     volume = decoder.match(prepared)
     regions = find_regions(prepared, volume, textured_pixel_depth(prepared, volume), optics=decoder.layer_optics)
     assert len(regions.depths) == 2
-    return prepared, {"depths": regions.depths, "label": regions.grown, "interior": regions.interior} | {
-        "optics": decoder.layer_optics
-    }
+    return FrameModel(prepared, regions, decoder.layer_optics)
 
 
-def test_dark_parts_within_an_object_are_its_own(wall_and_object: tuple[PreparedFrame, dict[str, Any]]) -> None:
+def nearest_and_label(model: FrameModel) -> tuple[int, NDArray[np.int32]]:
+    """Number of the object's segment, and a copy of the segments' labels."""
+    return 1 + int(np.argmax([depth.vergence_per_m for depth in model.regions.depths])), model.regions.grown.copy()
+
+
+def test_dark_parts_within_an_object_are_its_own(wall_and_object: FrameModel) -> None:
     """Their light is small but known; a frame without any there fits no outline nearby."""
-    prepared, segments = wall_and_object
-    nearest = 1 + int(np.argmax([depth.vergence_per_m for depth in segments["depths"]]))
-    row, column = (int(np.median(axis)) for axis in np.nonzero(segments["label"] == nearest))
+    nearest, label = nearest_and_label(wall_and_object)
+    row, column = (int(np.median(axis)) for axis in np.nonzero(label == nearest))
     hole = (slice(row - 2, row + 3), slice(column - 2, column + 3))
-    dark = replace(prepared)
-    vars(dark)["lit"] = prepared.lit.copy()
+    dark = replace(wall_and_object.prepared)
+    vars(dark)["lit"] = dark.lit.copy()
     dark.lit[hole] = False
-    owner = outline_owners(dark, **segments)
+    owner = replace(wall_and_object, prepared=dark).owners()
     assert owner is not None and (owner[hole] == nearest).all()
 
 
 @pytest.mark.parametrize("is_there", [False, True])
-def test_a_piece_that_its_neighbours_explain_better_is_false(
-    wall_and_object: tuple[PreparedFrame, dict[str, Any]], is_there: bool
-) -> None:
+def test_a_piece_that_its_neighbours_explain_better_is_false(wall_and_object: FrameModel, is_there: bool) -> None:
     """A nearer depth along the outline is none; the object itself is one, however narrow."""
-    prepared, segments = wall_and_object
-    depths, label, interior = segments["depths"], segments["label"].copy(), segments["interior"]
-    nearest = 1 + int(np.argmax([depth.vergence_per_m for depth in depths]))
+    nearest, label = nearest_and_label(wall_and_object)
     if is_there:
-        assert false_pieces(prepared, **segments, narrow=[nearest]) == []
+        assert wall_and_object.false_pieces([nearest]) == []
         return
+    regions = wall_and_object.regions
     row, column = np.nonzero(label == nearest)
     label[row.min() : row.max(), column.max() - 5 : column.max() + 6] = 3
     nearer = 1.0 / 0.00245
-    piece = replace(depths[0], vergence_per_m=nearer, plane=Plane(nearer))
-    model = {"depths": (*depths, piece), "label": label, "interior": np.where(label == 3, 0, interior)}
-    assert false_pieces(prepared, **model, optics=segments["optics"], narrow=[3]) == [3]
+    piece = replace(regions.depths[0], vergence_per_m=nearer, plane=Plane(nearer))
+    interior = np.where(label == 3, 0, regions.interior)
+    three = replace(regions, depths=(*regions.depths, piece), grown=label, interior=interior)
+    assert replace(wall_and_object, regions=three).false_pieces([3]) == [3]
 
 
-def test_moves_of_pixels_are_judged_by_the_light_about_them(
-    wall_and_object: tuple[PreparedFrame, dict[str, Any]],
-) -> None:
+def test_moves_of_pixels_are_judged_by_the_light_about_them(wall_and_object: FrameModel) -> None:
     """Half of an object given to the wall does not explain the frame; given back, it does."""
-    prepared, segments = wall_and_object
-    label = segments["label"]
-    nearest = 1 + int(np.argmax([depth.vergence_per_m for depth in segments["depths"]]))
-    rows = np.nonzero(label == nearest)[0]
+    nearest, label = nearest_and_label(wall_and_object)
     half = label == nearest
-    half[int(np.median(rows)) :] = False
+    half[int(np.median(np.nonzero(half)[0])) :] = False
     without = np.where(half, 3 - nearest, label).astype(np.int32)
-    assert not explained_moves(prepared, **segments, moved=without).any()
-    back = explained_moves(prepared, **segments | {"label": without}, moved=label)
+    assert not wall_and_object.explained_moves(without).any()
+    back = replace(wall_and_object, regions=replace(wall_and_object.regions, grown=without)).explained_moves(label)
     assert back[half].mean() > 0.9 and not back[~half].any()
