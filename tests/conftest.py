@@ -38,6 +38,14 @@ class SharedFixtures(LoadScopeScheduling):  # type: ignore[misc]
     def _split_scope(self, nodeid: str) -> str:
         return _shared_by(nodeid.partition("::")[0]) or nodeid
 
+    def mark_test_complete(self, node: Any, item_index: int, duration: float = 0.0) -> None:
+        """As the base class, whose count at each test goes over all that a worker holds: what is done is dropped."""
+        super().mark_test_complete(node, item_index, duration)
+        given = self.assigned_work[node]
+        scope = self._split_scope(self.registered_collections[node][item_index])
+        if all(given[scope].values()):
+            del given[scope]
+
 
 #: Names of the fixtures that are made once for a file or a session.
 _MADE_ONCE = re.compile(r'fixture\(.*scope="(?:module|session)".*\)\ndef (\w+)')

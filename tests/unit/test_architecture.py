@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -36,15 +37,21 @@ MOST_FILES, MOST_LINES, MOST_NAMES = 13, 600, 13
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 
-def _imports(path: Path) -> Iterator[str]:
+@cache
+def _imports(path: Path) -> frozenset[str]:
+    """Modules that a file imports."""
+    found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
-            if node.module == "metafab":
-                yield from (f"metafab.{alias.name}" for alias in node.names)
-            else:
-                yield node.module
+            names = [f"metafab.{alias.name}" for alias in node.names]
+            found |= {*names} if node.module == "metafab" else {node.module}
+    return frozenset(found)
+
+
+def _name(path: Path) -> str:
+    return path.relative_to(PACKAGE).as_posix()
 
 
 def _room(path: Path) -> str:
@@ -68,15 +75,13 @@ def _typing_only(path: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: p.relative_to(PACKAGE).as_posix())
-def test_imports_point_down_the_list(path: Path) -> None:
-    room = _room(path)
-    if room == "__init__":
-        return
-    for module in _imports(path):
-        parts = module.split(".")
-        if parts[0] == "metafab" and len(parts) > 1 and parts[1] in ORDER:
-            assert ORDER.index(parts[1]) <= ORDER.index(room), f"{room} imports {module}, which comes after it"
+def test_imports_point_down_the_list() -> None:
+    upwards = []
+    for path in FILES:
+        before = [*ORDER, "__init__"].index(_room(path)) + 1
+        rooms = {module: module.split(".")[1] for module in _imports(path) if module.startswith("metafab.")}
+        upwards += [f"{_name(path)} imports {module}" for module, room in rooms.items() if room in ORDER[before:]]
+    assert upwards == []
 
 
 def test_every_room_has_its_place() -> None:
@@ -96,12 +101,13 @@ def test_no_two_files_import_each_other() -> None:
     assert sorted(graph) == []
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: p.relative_to(PACKAGE).as_posix())
-def test_some_packages_have_one_door(path: Path) -> None:
-    name = path.relative_to(PACKAGE).as_posix()
-    for module in set(_imports(path)) - _typing_only(path):
-        door = DOORS.get(module.split(".")[0])
-        assert door is None or name.startswith(door), f"{name} imports {module}; only {door} may"
+def test_some_packages_have_one_door() -> None:
+    others = []
+    for path in FILES:
+        doors = {module: DOORS.get(module.split(".")[0], "") for module in _imports(path)}
+        beside = {module for module, door in doors.items() if not _name(path).startswith(door)}
+        others += [f"{_name(path)} imports {module}" for module in (beside and beside - _typing_only(path))]
+    assert others == []
 
 
 def test_one_file_opens_klayout() -> None:
@@ -109,9 +115,9 @@ def test_one_file_opens_klayout() -> None:
     assert len(users) == 1
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda p: p.relative_to(PACKAGE).as_posix())
-def test_files_stay_readable(path: Path) -> None:
-    assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES
+def test_files_stay_readable() -> None:
+    lines = {_name(path): len(path.read_text(encoding="utf-8").splitlines()) for path in FILES}
+    assert {name: count for name, count in lines.items() if count > MOST_LINES} == {}
 
 
 def test_folders_hold_about_a_dozen_files() -> None:
