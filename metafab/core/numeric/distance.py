@@ -33,6 +33,20 @@ def nearest(mask: NDArray[np.bool_]) -> Nearest:
     return _lower_envelopes(_nearest_rows(mask))
 
 
+def box_about(mask: NDArray[np.bool_], reach: int = 0) -> tuple[slice, slice]:
+    """Slices of the smallest box about the pixels of a mask, shape (n_y, n_x), and of all within ``reach`` of it.
+
+    The box is empty if the mask is.
+    """
+    rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    if not rows.size:
+        return slice(0, 0), slice(0, 0)
+    return (
+        slice(max(0, int(rows[0]) - reach), int(rows[-1]) + reach + 1),
+        slice(max(0, int(columns[0]) - reach), int(columns[-1]) + reach + 1),
+    )
+
+
 @compiled
 def _nearest_rows(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
     """The nearest row of ``mask`` in each pixel's column; far outside of the image if there is none."""

@@ -18,6 +18,7 @@ from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
+from metafab.core.numeric.distance import box_about
 from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.fit import across_outlines, connected_moves
@@ -104,13 +105,15 @@ def _with_cut_off(
     """
     taken = moved.copy()
     for number in np.unique(label[moved > 0]).tolist():
-        piece, count = connected_components((label == number) & (moved == 0) & lit)
+        own = label == number
+        box = box_about(own, 1)
+        piece, count = connected_components((own & (moved == 0) & lit)[box])
         is_body = np.zeros(count + 1, dtype=bool)
-        is_body[piece[sure]] = True
-        for other in np.unique(moved[(moved > 0) & (label == number)]).tolist():
+        is_body[piece[sure[box]]] = True
+        for other in np.unique(moved[own & (moved > 0)]).tolist():
             beside = np.zeros(count + 1, dtype=bool)
-            beside[piece[binary_dilation(moved == other)]] = True
-            taken[(piece > 0) & (beside & ~is_body)[piece]] = other
+            beside[piece[binary_dilation(moved[box] == other)]] = True
+            taken[box][(piece > 0) & (beside & ~is_body)[piece]] = other
     return taken
 
 

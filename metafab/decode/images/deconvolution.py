@@ -22,8 +22,9 @@ from metafab.decode.registration.tiles import Tiling
 
 #: Change of the pair (relative L2) from the centre of a tile to its edge.
 _TILE_CHANGE = 0.2
-#: Smallest and largest side of a tile's core.
-_CORES_PX = (32.0, 256.0)
+#: Smallest and largest side of a tile's core: larger tiles transform more pixels that are not asked for, smaller ones
+#: more margin.
+_CORES_PX = (32.0, 160.0)
 #: Margin of a tile: with 8 pixels more, images would be better by 0.01 dB.
 _MARGIN_PX = 28
 #: Memory of the transfer functions that are kept; a tilted scene has a hundred pairs of tile and depth.
@@ -81,11 +82,9 @@ class Deconvolver:
     def of(
         cls, calibration: Calibration, kept_bytes: int = KEPT_BYTES, unmixing: Unmixing | None = None
     ) -> Deconvolver:
-        """A deconvolver with several tiles if the pair varies over the field, and one tile if it does not."""
+        """A deconvolver with tiles over which the pair hardly varies, and whose transforms stay in the cache."""
         smallest, largest = _CORES_PX
-        core = [
-            np.inf if px > 16 * largest else min(max(px, smallest), largest) for px in calibration.core_px(_TILE_CHANGE)
-        ]
+        core = [min(max(px, smallest), largest) for px in calibration.core_px(_TILE_CHANGE)]
         grid = calibration.grid
         tiling = Tiling.over(grid.shape, min(_MARGIN_PX, grid.margin), (core[0], core[1]))
         return cls(calibration, tiling, kept_bytes, unmixing)
@@ -226,6 +225,7 @@ class Deconvolver:
 
     def transfers(self, wanted: list[tuple[int, int]]) -> list[NDArray[np.complex64]]:
         """Transfer functions at each pair (step of the grid of depths, tile): shape (2, n_ky, n_kx) each."""
+        wanted = [(step, int(self._pair_of_tile[tile])) for step, tile in wanted]
         missing = sorted({key for key in wanted if key not in self._transfers})
         with kept_threads() as pool:
             self._transfers.update(zip(missing, pool.map(self._transfer, missing), strict=True))
@@ -237,17 +237,22 @@ class Deconvolver:
         return transfers
 
     def _transfer(self, key: tuple[int, int]) -> NDArray[np.complex64]:
-        step, tile = key
+        step, pair = key
         low, high = self._range_per_m
         share = self.calibration.depth_weights(low + step * (high - low) / _DEPTH_STEPS)
-        nodes = self._kernels[tile]
+        nodes = self._kernels[pair]
         kernels = (share @ nodes.reshape(*nodes.shape[:2], -1)).reshape(2, *nodes.shape[-2:])
         return np.asarray(transfer_functions(kernels.astype(np.float32), self.tiling.size), dtype=np.complex64)
 
     @cached_property
+    def _pair_of_tile(self) -> NDArray[np.intp]:
+        """Index in ``_kernels`` of each tile's pair: shape (n_tiles,)."""
+        return np.unique(self.calibration.tile_weights(self.tiling), axis=0, return_inverse=True)[1].ravel()
+
+    @cached_property
     def _kernels(self) -> NDArray[np.float32]:
-        """The pair in each tile at each calibrated depth: shape (n_tiles, 2, n_depth, n_y, n_x)."""
-        weights, stack = self.calibration.tile_weights(self.tiling), self.calibration.stack
+        """The distinct pairs of the tiles at each calibrated depth: shape (n_pairs, 2, n_depth, n_y, n_x)."""
+        weights, stack = np.unique(self.calibration.tile_weights(self.tiling), axis=0), self.calibration.stack
         return np.stack([np.tensordot(share, stack, axes=(0, 2)) for share in weights])
 
 

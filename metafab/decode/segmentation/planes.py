@@ -17,6 +17,7 @@ from scipy.ndimage import binary_dilation
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.distance import box_about
 from metafab.core.numeric.interpolation import spline_weights
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import spline_peaks, standard_error
@@ -308,12 +309,14 @@ def distinct_planes(planes: list[Plane], label: NDArray[np.int32], separation_pe
     sizes = np.bincount(label.ravel(), minlength=len(planes) + 1)[1:]
     kept: list[int] = []
     for index in sorted(range(len(planes)), key=lambda k: (not planes[k].tilted, -sizes[k])):
-        row, column = (axis.astype(np.float64) for axis in np.nonzero(label == index + 1))
+        mask = label == index + 1
+        box = box_about(mask, 2)
+        beside = label[box][binary_dilation(mask[box], iterations=2)] if mask.any() else label[box]
+        row, column = (axis.astype(np.float64) for axis in np.nonzero(mask))
         vergence = planes[index].at(row, column)
-        near = binary_dilation(label == index + 1, iterations=2)
         if not any(
             planes[other].tilted
-            and near[label == other + 1].any()
+            and (beside == other + 1).any()
             and np.median(np.abs(planes[other].at(row, column) - vergence)) < 0.5 * separation_per_m
             for other in kept
         ):

@@ -14,7 +14,7 @@ from scipy.ndimage import distance_transform_cdt, gaussian_filter1d
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.distance import distance, nearest
+from metafab.core.numeric.distance import box_about, distance, nearest
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, parabolic_peak, spline_peaks, standard_error
 from metafab.decode.matching.pooling import window_means
@@ -229,17 +229,18 @@ def connected_segments(
     for index in range(1, int(layer.max(initial=0)) + 1):
         component, n_components = connected_components(opened((layer == index) & lit, max(1, 2 // step)))
         sizes = np.bincount(component.ravel(), minlength=n_components + 1) * step**2
-        for number in range(1, n_components + 1):
-            if sizes[number] >= _FEWEST_PX:
-                count += 1
-                segment[component == number] = count
+        large = np.append(False, sizes[1:] >= _FEWEST_PX)
+        numbers = np.where(large, count + np.cumsum(large), 0).astype(np.int32)
+        segment += numbers[component]
+        count += int(large.sum())
     sizes = np.bincount(segment.ravel(), minlength=count + 1) * step**2
     large = sizes >= window_px**2
     large[0] = False
     near_large = distance(large[segment]) * step <= window_px if large.any() else np.zeros(layer.shape, bool)
     renumbered = np.zeros(count + 1, dtype=np.int32)
-    kept = [k for k in range(1, count + 1) if large[k] or not near_large[segment == k].any()]
-    renumbered[kept] = np.arange(1, len(kept) + 1)
+    beside = np.bincount(segment[near_large], minlength=count + 1) > 0
+    kept = 1 + np.flatnonzero((large | ~beside)[1:])
+    renumbered[kept] = np.arange(1, kept.size + 1)
     return np.asarray(renumbered[segment])
 
 
@@ -327,15 +328,18 @@ def interior(segment: NDArray[np.int32], number: int, step: int) -> NDArray[np.b
     numbers of the segments from 1; ``step`` is the frame pixels from one downsampled pixel to the next.
     """
     mask: NDArray[np.bool_] = segment == number
-    others = (segment > 0) & ~mask
+    # Others farther away than the largest distance that is asked for do not matter.
+    box = box_about(mask, _CLEAR_PX[0] // step + 1)
+    own, inside = mask[box], np.zeros_like(mask)
+    others = (segment[box] > 0) & ~own
     if not others.any():
         return mask
     away = distance(others)
-    least = max(0.2 * _FEWEST_PX / step**2, 0.2 * float(mask.sum()))
+    least = max(0.2 * _FEWEST_PX / step**2, 0.2 * float(own.sum()))
     for px in _CLEAR_PX:
-        inner = mask & (away > px / step)
-        if inner.sum() >= least:
-            return np.asarray(inner)
+        inside[box] = own & (away > px / step)
+        if inside.sum() >= least:
+            return inside
     return mask
 
 
@@ -344,8 +348,9 @@ def is_textured(region: NDArray[np.bool_], texture: NDArray[np.bool_], reach: in
 
     True for one too small to have an interior. From ``reach`` pixels on a window contains the outline.
     """
-    inner = distance_transform_cdt(np.pad(region, 1), metric="taxicab")[1:-1, 1:-1] > reach
-    return not inner.any() or float(texture[inner].mean()) > _LEAST_TEXTURED
+    box = box_about(region)
+    inner = distance_transform_cdt(np.pad(region[box], 1), metric="taxicab")[1:-1, 1:-1] > reach
+    return not inner.any() or float(texture[box][inner].mean()) > _LEAST_TEXTURED
 
 
 def textured_components(lit: NDArray[np.bool_], texture: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:

@@ -115,3 +115,11 @@ def test_another_calibrations_restorer_keeps_nothing_of_the_first(psf: Psf, fram
     assert not np.allclose(first, want)
     (got,) = dataclasses.replace(mine.deconvolver, calibration=its.calibration).transfers([key])
     np.testing.assert_array_equal(got, want)
+
+
+def test_tiles_of_one_pair_share_its_transfer_function(psf: Psf, frame: RawFrame) -> None:
+    decoder = Decoder.of(dataclasses.replace(psf, field=None), frame.frame.shape, frame.origin_um, frame.x_window)
+    assert decoder is not None
+    tiling = dataclasses.replace(decoder.deconvolver.tiling, core=(45, 40), size=(120, 120), counts=(2, 3))
+    one, other = Deconvolver(decoder.calibration, tiling).transfers([(3, 0), (3, 5)])
+    assert one is other
