@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from metafab.core.numeric.distance import distance, nearest
+from metafab.core.numeric.distance import box_about, distance, nearest
 
 
 @settings(max_examples=60, deadline=None)
@@ -44,3 +44,13 @@ def test_no_pixel_is_near_an_empty_set() -> None:
     assert np.isinf(away).all()
     assert (row == np.arange(4)[:, None]).all()
     assert (column == np.arange(5)).all()
+
+
+def test_the_box_about_a_mask_holds_what_is_near_and_nothing_more() -> None:
+    mask = np.zeros((9, 12), dtype=bool)
+    assert box_about(mask, 2) == (slice(0, 0), slice(0, 0))
+    mask[4, 7] = mask[5, 2] = True
+    near = distance(mask)[box_about(mask, 2)] <= 2.0
+    assert near.sum() == (distance(mask) <= 2.0).sum()
+    assert near[0].any()
+    assert near[:, -1].any()
