@@ -115,6 +115,11 @@ def test_one_file_opens_klayout() -> None:
     assert len(users) == 1
 
 
+def test_nobody_imports_the_slowest_package_of_scipy() -> None:
+    """Every run would import it for 0.27 s; distributions are in `scipy.special`, too."""
+    assert not [p for p in FILES if any(m.startswith("scipy.stats") for m in _imports(p))]
+
+
 def test_files_stay_readable() -> None:
     lines = {_name(path): len(path.read_text(encoding="utf-8").splitlines()) for path in FILES}
     assert {name: count for name, count in lines.items() if count > MOST_LINES} == {}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import lsq_linear
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.figures import LineStatistics
@@ -92,7 +92,7 @@ def error_law(doubts: RowDoubts, errors: FloatArray, floor: float = 0.0) -> Line
     rest = error - logs @ power
     free = rows - len(names) - 1
     spread = math.sqrt(float(np.sum((rest - rest.mean()) ** 2)) / free * (1.0 + (len(names) + 1) / rows))
-    limit = float(rest.mean()) + float(student_t.isf(_UNSTATED, free)) * spread
+    limit = float(rest.mean()) + float(-stdtrit(free, _UNSTATED)) * spread
     powers = dict(zip(names, power.tolist(), strict=True))
     return LineStatistics(
         error_floor=floor,
