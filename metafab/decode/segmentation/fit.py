@@ -260,12 +260,28 @@ def foreign_light(regions: Regions, misfit: Misfit, step: int) -> NDArray[np.boo
     Returns:
         Shape (n_y, n_x).
     """
-    label = regions.grown
-    widest = np.zeros(len(regions.depths) + 1, dtype=np.float32)
+    wide = np.where(is_wide(regions, step)[regions.grown], regions.grown, 0).astype(np.int32)
+    return misfit.is_foreign & away_from_outlines(wide, step)
+
+
+def is_wide(regions: Regions, step: int) -> NDArray[np.bool_]:
+    """Whether each segment is as wide as a window, and no plain object, by number: shape (n_segments + 1,)."""
+    label, widest = regions.grown, np.zeros(len(regions.depths) + 1, dtype=np.float32)
     np.maximum.at(widest, label.ravel(), across_outlines(label)[1].ravel())
-    wide = np.where((widest[label] * step >= 0.5 * WINDOW_PX) & ~regions.of_outline[label], label, 0).astype(np.int32)
-    _, away = across_outlines(wide)
-    return misfit.is_foreign & (wide > 0) & (away * step > _OUTLINE_LIGHT_PX)
+    return np.asarray((widest * step >= 0.5 * WINDOW_PX) & ~regions.of_outline & (np.arange(widest.size) > 0))
+
+
+def away_from_outlines(label: NDArray[np.int32], step: int) -> NDArray[np.bool_]:
+    """Pixels of segments so far from the outlines between them that their light is not that of the other side.
+
+    Args:
+        label: shape (n_y, n_x), number of each pixel's segment; 0 for none.
+        step: frame pixels from one downsampled pixel to the next.
+
+    Returns:
+        Shape (n_y, n_x).
+    """
+    return np.asarray((label > 0) & (across_outlines(label)[1] * step > _OUTLINE_LIGHT_PX))
 
 
 def across_outlines(

@@ -30,6 +30,7 @@ from metafab.decode.segmentation.fit import (
 )
 from metafab.decode.segmentation.frame_model import FrameModel
 from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.objects.bars import with_bars
 from metafab.decode.segmentation.objects.plain_objects import with_plain_objects
 from metafab.decode.segmentation.objects.small_objects import SmallObject, small_objects
 from metafab.decode.segmentation.outlines import ROUNDS
@@ -161,8 +162,9 @@ def find_regions(
     regions = with_plain_objects(segments, prepared, volume)
     if not (regions.depths and refined):
         return regions
-    step = prepared.downsampling.step
+    step, refused = prepared.downsampling.step, np.zeros(regions.grown.shape, dtype=bool)
     if optics is not None and not regions.continuous:
+        regions, refused = with_bars(regions, prepared, volume, optics)
         regions = with_modelled_outlines(prepared, regions, optics)
     label = regions.grown
 
@@ -211,15 +213,17 @@ def find_regions(
     # Outlines of plain objects are judged as a whole.
     misfit_here = np.where(regions.of_outline[label], np.float32(1.0), misfit_here)
     right = right_segment(misfit_here, other.over_noise, away * step)
-    return replace(regions, right=np.where(unexplained & (other.is_foreign | (across == 0)), 0.0, right))
+    refused |= unexplained & (other.is_foreign | (across == 0))
+    return replace(regions, right=np.where(refused, 0.0, right))
 
 
 def with_modelled_outlines(prepared: PreparedFrame, regions: Regions, optics: LayerOptics) -> Regions:
     """Segments by the model of the frame: without false pieces, and with the outlines that explain it."""
     # A plain surface has no segment that could explain the light of a piece beside it.
-    plain = set(regions.grown[distance(prepared.plain) <= 2.0].tolist())
+    beside_plain = set(regions.grown[distance(prepared.plain) <= 2.0].tolist())
     most = _NARROW_PX / prepared.downsampling.step**2
-    narrow = [number for number, one in enumerate(regions.depths, 1) if one.pixels < most and number not in plain]
+    pieces = ((number, one) for number, one in enumerate(regions.depths, 1) if not one.of_outline)
+    narrow = [number for number, one in pieces if one.pixels < most and number not in beside_plain]
     model = FrameModel(prepared, regions, optics)
     false = model.false_pieces(narrow)
     if false:

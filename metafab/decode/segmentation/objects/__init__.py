@@ -1,7 +1,8 @@
-"""Objects that the segments of textured pixels miss: small ones before a surface, and plain ones.
+"""Objects that the segments of textured pixels miss: small and narrow ones before a surface, and plain ones.
 
 - ``null_channel``   difference of the twins in which a surface vanishes, and the evidence of light before it
 - ``object_fit``     depth of a rectangle of light before a surface, by a model of both images with occlusion
 - ``small_objects``  rectangles of light before a segment, by ascent of their evidence
+- ``bars``           straight bars narrower than a window before a segment, by ridges of its misfit
 - ``plain_objects``  objects without texture, by the depth of their outlines
 """

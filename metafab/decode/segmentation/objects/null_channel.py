@@ -96,12 +96,12 @@ def _texture_power(n: int, step: int) -> FloatArray:
     """Spectrum of a texture of unit variance, mean 1 over all n x n frequencies: shape (n, n // 2 + 1)."""
     ky, kx = frequencies((n, n), step)
     power = 1.0 / (ky[:, None] ** 2 + kx[None, :] ** 2 + LOWEST_FREQUENCY**2)
-    return np.asarray(power * (n * n / (_BOTH_HALVES * power).sum()))
+    return np.asarray(power * (n * n / (BOTH_HALVES * power).sum()))
 
 
 #: Weights of the frequencies of real transforms: all but the first and last column stand for two.
-_BOTH_HALVES = np.full(WINDOW // 2 + 1, 2.0)
-_BOTH_HALVES[[0, -1]] = 1.0
+BOTH_HALVES = np.full(WINDOW // 2 + 1, 2.0)
+BOTH_HALVES[[0, -1]] = 1.0
 
 
 class RectangleEvidence:
@@ -158,12 +158,12 @@ class RectangleEvidence:
         if kept is None:
             n, (x, y) = WINDOW, self._channel.response(vergence_per_m)
             lit = light[0] * x + light[1] * y
-            weight = self._channel.precision * _BOTH_HALVES
+            weight = self._channel.precision * BOTH_HALVES
             lags = scipy.fft.irfft2((lit.real**2 + lit.imag**2) * self._channel.precision * self._pixel**2, (n, n))
             kept = self._responses[place] = _Response(
                 np.hstack([weight * (i.real * j.real + i.imag * j.imag) for i, j in ((x, x), (x, y), (y, y))]),
                 np.stack((x, y)) * (lit.conj() * weight * self._pixel),
-                np.hstack([one.conj() * self._data * _BOTH_HALVES for one in (x, y)]),
+                np.hstack([one.conj() * self._data * BOTH_HALVES for one in (x, y)]),
                 scipy.fft.irfft2(lit.conj() * self._data * self._pixel, (n, n)) * n**2,
                 np.roll(lags, n // 2, 1)[:, ::-1] * n**2,
             )
