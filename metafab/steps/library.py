@@ -34,13 +34,13 @@ class LibraryFigures(BuildStatistics, Quality):
     corners: CornerStatistics | None = optional()
 
     @classmethod
-    def of(cls, library: Library, file: str) -> LibraryFigures:
-        """Compute the figures of a library; ``file`` is its path from the run folder."""
+    def of(cls, library: Library, file: str, workers: int | None = None) -> LibraryFigures:
+        """Compute the figures of a library by up to ``workers`` processes; ``file`` is its path from the run folder."""
         from metafab.library import index_phase_error_rad, quality
 
         return cls(
             file=file,
-            index_phase_error_rad=index_phase_error_rad(library),
+            index_phase_error_rad=index_phase_error_rad(library, workers=workers),
             neighbours=None if library.neighbours is None else library.neighbours.overall,
             corners=None if library.corners is None else library.corners.statistics,
             **(vars(library.statistics) | vars(quality(library))),
@@ -115,7 +115,8 @@ def _is_swept(nominal: Design, design: Design) -> bool:
 
 def _library(job: Job) -> LibraryFigures:
     library, path = open_library(job), library_path(job)
-    figures = _JUDGED.of((file_mark(path), library.inputs_sha256), lambda: LibraryFigures.of(library, ""))
+    mark = file_mark(path), library.inputs_sha256
+    figures = _JUDGED.of(mark, lambda: LibraryFigures.of(library, "", job.work.workers))
     libraries(job)
     return replace(figures, file=relative_to(job.folder, path))
 

@@ -49,7 +49,7 @@ EVEN_ROUND, EVEN_GROWTH = 16, 0.08
 WORST_ROUND, WORST_GROWTH = 24, 0.12
 #: Number of the latest sizes that rank the models' degrees.
 RANKING = 48
-#: Sizes that a worker solves before it reports: more save messages, fewer lose less to a kill.
+#: Most sizes that a worker solves before it reports: more save messages, fewer lose less to a kill.
 CHUNK = 4
 #: Chunks in flight: enough to keep the workers of one machine busy.
 AHEAD = 32
@@ -75,7 +75,9 @@ class PointSolver:
         known = {point.number: point for point in self.record.points}
         missing = [int(number) for number in numbers if int(number) not in known]
         cells = [(number, self.cell_of(number)) for number in missing]
-        chunks = [tuple(cells[k : k + CHUNK]) for k in range(0, len(cells), CHUNK)]
+        # In a small batch, a chunk of several resonant sizes would keep one worker busy alone.
+        size = min(CHUNK, max(1, len(cells) // AHEAD))
+        chunks = [tuple(cells[k : k + size]) for k in range(0, len(cells), size)]
         # A serial executor solves each chunk when it is submitted: one at a time, so that a kill loses one chunk.
         ahead = 1 if isinstance(self.executor, SerialExecutor) else AHEAD
         work = partial(_solve_chunk, self.solver, self.numerics)

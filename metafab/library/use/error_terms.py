@@ -78,13 +78,13 @@ def _largest_change(before: ComplexArray, after: ComplexArray) -> float:
     return float(np.max(changed / np.linalg.norm(before, axis=0)))
 
 
-def index_phase_error_rad(library: Library, *, samples: int = SAMPLES) -> float | None:
+def index_phase_error_rad(library: Library, *, samples: int = SAMPLES, workers: int | None = None) -> float | None:
     """Return the rms phase error (rad) by the standard uncertainty ``n_error`` of the pillar's index.
 
     None where ``n_error`` is 0, which means that it is not stated.
 
     ``samples`` sizes, spread evenly over the sweep, are solved with the index as given and with the index raised by
-    ``n_error``; see :func:`phase_rms_rad`.
+    ``n_error``, by ``workers`` processes, None for all cores; see :func:`phase_rms_rad`.
     """
     unit_cell = library.unit_cell
     n_error = unit_cell.materials.pillar.n_error
@@ -99,7 +99,7 @@ def index_phase_error_rad(library: Library, *, samples: int = SAMPLES) -> float 
     raised = [replace(cell, n_pillar=cell.n_pillar + n_error) for cell in cells]
     # The library's target suffices: the truncation error is common to both solutions and cancels.
     numerics = CellNumerics(target_error=sweep.target_error)
-    t = np.array([np.diagonal(solve(cell, numerics).t) for cell in [*cells, *raised]])
+    t = np.array(list(shared(lambda cell: np.diagonal(solve(cell, numerics).t), [*cells, *raised], workers)))
     return phase_rms_rad(t[:samples], t[samples:])
 
 

@@ -76,3 +76,16 @@ def test_slopes_serve_the_first_rounds_alone(cell: UnitCell, grid: SizeGrid, sol
     assert fitted[:ROUNDS_WITH_SLOPES] == [12] * (ROUNDS_WITH_SLOPES - 1) + [4]
     assert asked[0]
     assert not asked[-1]
+
+
+def test_a_small_batch_is_shared_size_by_size(cell: UnitCell, grid: SizeGrid, solving: Solving) -> None:
+    """Four resonant sizes in one chunk would keep one worker busy alone."""
+    reported: list[int] = []
+
+    def solve(each: PillarCell, numerics: CellNumerics) -> CellResponse:
+        reported.append(len(points.record.points))
+        return ridges.solve(each, numerics)
+
+    points = solving(partial(grid.cell, cell), solve)
+    points(grid.space_filling[:6], 6)
+    assert reported == [0, 1, 2, 3, 4, 5]
