@@ -18,7 +18,7 @@ from metafab.decode.evaluation import evaluated
 from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
-from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages
+from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages, TileSpectra
 from metafab.decode.images.unmixing import Unmixing
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
@@ -206,20 +206,34 @@ class Decoder:
 
     def complete(self, prepared: PreparedFrame, volume: CostVolume) -> DecodedFrame:
         """Depths, segments and sharp images of a frame."""
-        step, shape = self.filters.downsampling.step, self.calibration.grid.shape
         with kept_threads() as pool:
-            near_light = repeated(prepared.near_light, step, shape)
-            tiles = pool.submit(self.deconvolver.tile_spectra, prepared.twins.image, near_light)
-            pixels = textured_pixel_depth(prepared, volume)
-            rounds, refined = self.numerics.outline_rounds, self.numerics.refined
-            optics = self.layer_optics if refined and self.numerics.modelled else None
-            filters = None if optics is None else self.filters
-            regions = find_regions(
-                prepared, volume, pixels, outline_rounds=rounds, refined=refined, optics=optics, filters=filters
-            )
+            tiles = pool.submit(self.tile_spectra, prepared)
+            pixels, regions = self.segment(prepared, volume)
+        return self.sharpen(prepared, volume, pixels, regions, tiles.result())
+
+    def tile_spectra(self, prepared: PreparedFrame) -> TileSpectra:
+        """Transforms of the tiles of a frame that are deconvolved."""
+        near_light = repeated(prepared.near_light, self.filters.downsampling.step, self.calibration.grid.shape)
+        return self.deconvolver.tile_spectra(prepared.twins.image, near_light)
+
+    def segment(self, prepared: PreparedFrame, volume: CostVolume) -> tuple[PixelDepth, Regions]:
+        """Depth of each pixel, and segments."""
+        pixels = textured_pixel_depth(prepared, volume)
+        rounds, refined = self.numerics.outline_rounds, self.numerics.refined
+        optics = self.layer_optics if refined and self.numerics.modelled else None
+        filters = None if optics is None else self.filters
+        return pixels, find_regions(
+            prepared, volume, pixels, outline_rounds=rounds, refined=refined, optics=optics, filters=filters
+        )
+
+    def sharpen(
+        self, prepared: PreparedFrame, volume: CostVolume, pixels: PixelDepth, regions: Regions, tiles: TileSpectra
+    ) -> DecodedFrame:
+        """Sharp images of a segmented frame, and outlines that follow them."""
+        step, shape = self.filters.downsampling.step, self.calibration.grid.shape
         label, vergences = focus_depths(prepared, regions, volume.vergences_per_m)
         depths = repeated(label, step, shape), vergences
-        sharp = self.deconvolver(tiles.result(), prepared.levels, *depths, prepared.twins.broken)
+        sharp = self.deconvolver(tiles, prepared.levels, *depths, prepared.twins.broken)
         # Moved outlines leave the sharp images: deconvolved again at the new depths, they would be 0.3 dB worse.
         lit = lit_pixels(prepared, sharp)
         regions = moved_outlines(regions, sharp, step, lit)

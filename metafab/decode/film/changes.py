@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import find_objects, maximum_filter
+from scipy.ndimage import find_objects
 from scipy.ndimage import label as connected_components
 
 from metafab.camera.frames.frame import RawFrame
@@ -21,7 +21,7 @@ from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import spread
 from metafab.decode.matching.levels import Levels
 from metafab.decode.matching.mixing import square_blocks_with
-from metafab.decode.matching.pooling import window_means
+from metafab.decode.matching.pooling import window_maxima, window_means
 from metafab.decode.registration.downsampling import Downsampling
 from metafab.decode.registration.twins import BRIGHTEST, TwinGrid, compilable
 
@@ -115,7 +115,7 @@ class ChangeDetector:
 
         ``changed`` has the shape (n_y + 2 margin, n_x + 2 margin).
         """
-        wide = maximum_filter(changed, 2 * math.ceil(_REACH * self.margin) + 1)
+        wide = window_maxima(changed, 2 * math.ceil(_REACH * self.margin) + 1)
         return np.asarray(wide[self.margin : -self.margin, self.margin : -self.margin])
 
 

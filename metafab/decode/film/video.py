@@ -54,6 +54,20 @@ class FilmState:
     camera: tuple[object, ...]
 
 
+@dataclass(frozen=True)
+class _Rectangle:
+    """A changed rectangle of a frame, downsampled pixels."""
+
+    part: Part
+    around: Part  # with the pixels around it
+    prepared: PreparedFrame  # the frame in ``around``
+
+    @property
+    def inside(self) -> Part:
+        """The rectangle relative to its surroundings."""
+        return relative_slices(self.part, self.around)
+
+
 @dataclass
 class VideoDecoder:
     """A decoder that remembers the last frame."""
@@ -90,12 +104,19 @@ class VideoDecoder:
         image = evaluated(_read_only(state.image), frame, seconds=time.perf_counter() - started)
         return replace(image, figures=replace(image.figures, changed_share=self.changed_share))
 
-    def _anew(self, frame: RawFrame, camera: tuple[object, ...]) -> FilmState | None:
-        """A frame decoded by itself; None if it cannot be decoded."""
+    def _anew(self, frame: RawFrame, camera: tuple[object, ...], most_segments: int | None = None) -> FilmState | None:
+        """A frame decoded by itself; None if it cannot be decoded, or has more than ``most_segments``."""
         prepared = self.decoder.prepare(frame)
         if isinstance(prepared, str):
             return None
-        decoded = self.decoder.complete(prepared, self.decoder.match(prepared))
+        decoder, volume = self.decoder, self.decoder.match(prepared)
+        if most_segments is None:
+            decoded = decoder.complete(prepared, volume)
+        else:
+            pixels, regions = decoder.segment(prepared, volume)
+            if len(regions.depths) > most_segments:
+                return None
+            decoded = decoder.sharpen(prepared, volume, pixels, regions, decoder.tile_spectra(prepared))
         return FilmState(decoded, self.decoder.image(decoded), self._detector.patch_means(frame), camera)
 
     @cached_property
@@ -119,9 +140,9 @@ class VideoDecoder:
             return last
         self._changes += 1
         if self._changes in self.second_looks or self._changes % _LOOK_AGAIN == 0:
-            anew = self._anew(frame, last.camera)
             # Fewer segments of the same scene are the better segmentation.
-            if anew is not None and len(anew.decoded.regions.depths) <= len(last.decoded.regions.depths):
+            anew = self._anew(frame, last.camera, most_segments=len(last.decoded.regions.depths))
+            if anew is not None:
                 return anew
         self.changed_share = share
         m = self._detector.margin
@@ -143,46 +164,54 @@ class VideoDecoder:
         whose light changed: only there may another surface stand.
         """
         prepared, volume = self._matched(frame, last, parts)
+        rectangles = [self._rectangle(prepared, part) for part in parts]
+        step, shape = self.decoder.filters.downsampling.step, self.decoder.calibration.grid.shape
+        near_light = np.zeros_like(affected)
+        for one in rectangles:
+            near_light[one.part] = one.prepared.near_light[one.inside]
+        near_light = repeated(near_light & affected, step, shape)
         with kept_threads() as pool:
-            tiles = pool.submit(self._tile_spectra, prepared, parts, affected)
-            pixels, tracked = self._segmented(prepared, volume, last, parts, changed)
-        step, (rows, columns) = self.decoder.filters.downsampling.step, self.decoder.filters.downsampling.shape
+            tiles = pool.submit(self.decoder.deconvolver.tile_spectra, prepared.twins.image, near_light)
+            pixels, tracked = self._segmented(volume, last, rectangles, changed)
         regions = remeasured(tracked.regions, volume, step)
-        redrawn = parts if regions is tracked.regions else [(slice(0, rows), slice(0, columns))]
-        sharp = self._deconvolved(prepared, last, regions, parts, affected, tiles.result())
-        regions = self._moved(prepared, regions, sharp, parts, changed)
+        whole = slice(0, affected.shape[0]), slice(0, affected.shape[1])
+        redrawn = rectangles if regions is tracked.regions else [self._rectangle(prepared, whole)]
+        sharp = self._deconvolved(prepared, last, regions, rectangles, affected, tiles.result())
+        regions = self._moved(regions, sharp, rectangles, changed)
         patches = []
-        for part in redrawn:
-            around, frame_slices = self._surroundings(part), self.decoder.filters.downsampling.frame_slices
-            local, sharp_part = prepared.within(*around), sharp.within(*frame_slices(*around))
-            of_part = local, pixels.within(*around), regions.within(*around), sharp_part
-            maps = PixelMaps.of(*of_part, lit_pixels(local, sharp_part))
-            patches.append((frame_slices(*part), maps, frame_slices(*around)))
+        for one in redrawn:
+            frame_slices, around = self.decoder.filters.downsampling.frame_slices, one.around
+            sharp_part = sharp.within(*frame_slices(*around))
+            of_part = one.prepared, pixels.within(*around), regions.within(*around), sharp_part
+            maps = PixelMaps.of(*of_part, lit_pixels(one.prepared, sharp_part))
+            patches.append((frame_slices(*one.part), maps, frame_slices(*around)))
         maps = last.maps.updated(tracked.number, patches)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 
     def _moved(
         self,
-        prepared: PreparedFrame,
         regions: Regions,
         sharp: SharpImages,
-        parts: list[Part],
+        rectangles: list[_Rectangle],
         changed: NDArray[np.bool_],
     ) -> Regions:
         """Segments whose outlines in the parts stand where the contrast changes; ``regions`` if they all do."""
         downsampling = self.decoder.filters.downsampling
-        for part in parts:
-            around = self._surroundings(part)
-            local = regions.within(*around)
-            sharp_part = sharp.within(*downsampling.frame_slices(*around))
-            lit = lit_pixels(prepared.within(*around), sharp_part)
-            moved = moved_outlines(local, sharp_part, downsampling.step, lit, changed[around])
+        for one in rectangles:
+            local = regions.within(*one.around)
+            sharp_part = sharp.within(*downsampling.frame_slices(*one.around))
+            lit = lit_pixels(one.prepared, sharp_part)
+            moved = moved_outlines(local, sharp_part, downsampling.step, lit, changed[one.around])
             if moved is not local:
                 arrays = {name: getattr(regions, name).copy() for name in ("label", "interior", "grown", "right")}
                 for name, array in arrays.items():
-                    array[around] = getattr(moved, name)
+                    array[one.around] = getattr(moved, name)
                 regions = replace(regions, **arrays)
         return regions
+
+    def _rectangle(self, prepared: PreparedFrame, part: Part) -> _Rectangle:
+        around = self._surroundings(part)
+        return _Rectangle(part, around, prepared.within(*around))
 
     def _surroundings(self, part: Part) -> Part:
         """A part with the pixels around it, inside the window."""
@@ -217,10 +246,9 @@ class VideoDecoder:
 
     def _segmented(
         self,
-        prepared: PreparedFrame,
         volume: CostVolume,
         last: DecodedFrame,
-        parts: list[Part],
+        rectangles: list[_Rectangle],
         changed: NDArray[np.bool_],
     ) -> tuple[PixelDepth, TrackedRegions]:
         """The last frame's pixel depths and segments with those of the changed pixels in the parts."""
@@ -228,10 +256,9 @@ class VideoDecoder:
         number = np.arange(len(regions.depths) + 1, dtype=np.int32)
         pixels = PixelDepth(before.vergence_per_m.copy(), before.relative_error.copy(), before.claimed.copy())
         separation = layer_separation_per_m(volume)
-        for part in parts:
-            around = self._surroundings(part)
-            inside = relative_slices(part, around)
-            local, local_volume = prepared.within(*around), volume.within(*around)
+        for one in rectangles:
+            part, around, inside, local = one.part, one.around, one.inside, one.prepared
+            local_volume = volume.within(*around)
             depth = pixel_depth(local_volume, local.window, local.variance)
             claimed, renewed = depth.claimed & near_texture(local), changed[part]
             pixels.vergence_per_m[part][renewed] = depth.vergence_per_m[inside][renewed]
@@ -247,39 +274,27 @@ class VideoDecoder:
             regions, number = tracked.regions, tracked.number[number]
         return pixels, TrackedRegions(regions, number)
 
-    def _tile_spectra(self, prepared: PreparedFrame, parts: list[Part], affected: NDArray[np.bool_]) -> TileSpectra:
-        """Transforms of the tiles that hold the affected light."""
-        near_light = np.zeros_like(affected)
-        for part in parts:
-            around = self._surroundings(part)
-            near_light[part] = prepared.within(*around).near_light[relative_slices(part, around)]
-        step, shape = self.decoder.filters.downsampling.step, self.decoder.calibration.grid.shape
-        return self.decoder.deconvolver.tile_spectra(prepared.twins.image, repeated(near_light & affected, step, shape))
-
     def _deconvolved(
         self,
         prepared: PreparedFrame,
         last: DecodedFrame,
         regions: Regions,
-        parts: list[Part],
+        rectangles: list[_Rectangle],
         affected: NDArray[np.bool_],
         tiles: TileSpectra,
     ) -> SharpImages:
         """The last frame's sharp images with those of the affected pixels."""
         downsampling, shape = self.decoder.filters.downsampling, self.decoder.calibration.grid.shape
         label, vergences = np.zeros(affected.shape, dtype=np.int32), np.zeros(0)
-        for part in parts:
-            around = self._surroundings(part)
-            depths, of_depths = focus_depths(
-                prepared.within(*around), regions.within(*around), last.volume.vergences_per_m
-            )
-            numbers = np.where(depths > 0, depths + vergences.size, 0)[relative_slices(part, around)]
-            label[part] = np.where(affected[part], numbers, 0)
+        for one in rectangles:
+            depths, of_depths = focus_depths(one.prepared, regions.within(*one.around), last.volume.vergences_per_m)
+            numbers = np.where(depths > 0, depths + vergences.size, 0)[one.inside]
+            label[one.part] = np.where(affected[one.part], numbers, 0)
             vergences = np.append(vergences, of_depths)
         wanted, renewed = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=bool)
         all_wanted, all_affected = (repeated(values, downsampling.step, shape) for values in (label, affected))
-        for part in parts:
-            inside = downsampling.frame_slices(*part)
+        for one in rectangles:
+            inside = downsampling.frame_slices(*one.part)
             wanted[inside], renewed[inside] = all_wanted[inside], all_affected[inside]
         sharp = self.decoder.deconvolver(tiles, prepared.levels, wanted, vergences, prepared.twins.broken)
         return last.sharp.replaced(sharp, renewed)

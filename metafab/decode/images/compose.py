@@ -94,16 +94,22 @@ class PixelMaps:
             depths = pool.submit(depth_maps, pixels, regions, step, shape)
             contrast, contrast_error = pixel_contrast(sharp, prepared.levels.read_noise_e, lit)
         maps = depths.result()
-        intensity_x, intensity_y = sharp.images.astype(np.float64)
+        for array, in_the_dark in (
+            (maps.depth_m, np.nan),
+            (maps.confidence, 0.0),
+            (maps.segment, 0),
+            (maps.depth_pixel_m, np.nan),
+        ):
+            np.copyto(array, in_the_dark, where=~lit)
         return cls(
-            intensity_x,
-            intensity_y,
+            sharp.images[0].astype(np.float64),
+            sharp.images[1].astype(np.float64),
             contrast,
             contrast_error,
-            np.where(lit, maps.depth_m, np.nan),
-            np.where(lit, maps.confidence, 0.0),
-            np.where(lit, maps.segment, np.int32(0)),
-            np.where(lit, maps.depth_pixel_m, np.nan),
+            maps.depth_m,
+            maps.confidence,
+            maps.segment,
+            maps.depth_pixel_m,
             lit,
         )
 

@@ -19,8 +19,10 @@ def pixel_contrast(sharp: SharpImages, read_noise_e: float, lit: NDArray[np.bool
 
     Both are NaN where ``lit``, shape (n_y, n_x), is not set or I_y is 0.
     """
-    light = window_means(sharp.images, NOISE_WINDOW_PX)
-    return contrast_with_error(sharp.images, sharp.noise_gain * (light + np.float32(read_noise_e**2)), lit)
+    variance = window_means(sharp.images, NOISE_WINDOW_PX)
+    variance += np.float32(read_noise_e**2)
+    variance *= sharp.noise_gain
+    return contrast_with_error(sharp.images, variance, lit)
 
 
 def contrast_with_error(

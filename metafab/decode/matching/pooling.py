@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import spread
+
+Value = TypeVar("Value", np.bool_, np.float32)
 
 #: Number of pictures that are summed at once: additions to a single sum wait for one another.
 _PICTURES_AT_ONCE = 4
@@ -55,6 +59,24 @@ def _window_means(first: int, stop: int, pictures: NDArray[np.float32], reach: i
             old, new = mirrored(i - reach, n_y), mirrored(i + reach + 1, n_y)
             for j in range(n_x):
                 column_sum[j] += np.float64(pictures[p, new, j]) - np.float64(pictures[p, old, j])
+
+
+def window_maxima(picture: NDArray[Value], window: int) -> NDArray[Value]:
+    """Largest values in the window of odd side about each pixel, shape (n_y, n_x), inside the picture.
+
+    Maxima of two overlapping windows are those of a wider one, so that the time grows with the logarithm of the side.
+    """
+    for axis, count in enumerate(picture.shape):
+        reach = min(window // 2, count - 1)
+        extra = [(reach, reach) if other == axis else (0, 0) for other in range(2)]
+        largest, side = np.pad(picture, extra, mode="edge"), 1
+        while side < 2 * reach + 1:
+            step = min(side, 2 * reach + 1 - side)
+            lines = largest if axis == 0 else largest.T
+            both = np.maximum(lines[:-step], lines[step:])
+            largest, side = both if axis == 0 else both.T, side + step
+        picture = largest
+    return picture
 
 
 def halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:

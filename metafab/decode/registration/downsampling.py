@@ -180,6 +180,9 @@ def _outer_index(values: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[
     out = np.empty((rows.size, columns.size), dtype=values.dtype)
     for i in range(rows.size):
         line, to = values[rows[i]], out[i]
+        if i > 0 and rows[i] == rows[i - 1]:
+            to[:] = out[i - 1]
+            continue
         for j in range(columns.size):
             to[j] = line[columns[j]]
     return out

@@ -7,14 +7,14 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes, maximum_filter
+from scipy.ndimage import binary_fill_holes
 from scipy.ndimage import label as connected_components
 
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance, nearest
 from metafab.decode.matching.levels import Levels
-from metafab.decode.matching.pooling import window_means
+from metafab.decode.matching.pooling import window_maxima, window_means
 from metafab.decode.registration.downsampling import Downsampling, blocks_with, enlarged
 from metafab.decode.registration.pedestal import pedestal_e, without_pedestal
 from metafab.decode.registration.twins import TwinGrid, Twins, extract
@@ -164,7 +164,7 @@ class PreparedFrame:
                 continue
             # At an outline, half of the averaging window is dark: the surface's full light is half a window farther in.
             side = 2 * (half + reach_px // self.downsampling.step) + 1
-            np.maximum(floor, np.float32(share) * maximum_filter(light, side, mode="nearest"), out=floor)
+            np.maximum(floor, np.float32(share) * window_maxima(light, side), out=floor)
         return floor
 
     @property

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import maximum_filter, uniform_filter
 
-from metafab.decode.matching.pooling import halved, label_sums, window_means
+from metafab.decode.matching.pooling import halved, label_sums, window_maxima, window_means
 
 
 def halved_plain(pictures: np.ndarray) -> np.ndarray:
@@ -22,12 +22,14 @@ def halved_plain(pictures: np.ndarray) -> np.ndarray:
 
 @settings(max_examples=40, deadline=None)
 @given(n_y=st.integers(1, 30), n_x=st.integers(1, 30), reach=st.integers(0, 9), seed=st.integers(0, 99))
-def test_means_are_those_of_the_plain_filter(n_y: int, n_x: int, reach: int, seed: int) -> None:
+def test_means_and_maxima_are_those_of_plain_filters(n_y: int, n_x: int, reach: int, seed: int) -> None:
     pictures = np.random.default_rng(seed).normal(size=(2, 3, n_y, n_x)).astype(np.float32)
     window = 2 * reach + 1
     want = uniform_filter(pictures, (0, 0, window, window), mode="reflect")
     np.testing.assert_allclose(window_means(pictures, window), want, atol=1e-5)
     np.testing.assert_allclose(halved(pictures), halved_plain(pictures), atol=1e-5)
+    for picture in (pictures[0, 0], pictures[0, 0] > 1.0):
+        np.testing.assert_array_equal(window_maxima(picture, window), maximum_filter(picture, window, mode="nearest"))
 
 
 @settings(max_examples=25, deadline=None)
