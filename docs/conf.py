@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import re
 import sys
 from pathlib import Path
@@ -12,6 +13,9 @@ from sphinx.domains.python import PythonDomain
 from metafab import __version__
 
 sys.path.insert(0, str(Path(__file__).parent))  # where `device_gallery` and `key_reference` lie
+
+# Trees of pages are millions of objects and no garbage: with the collector's 700, searches take a quarter of the time.
+gc.set_threshold(50_000)
 
 project = "metafab"
 author = "The metafab founders"

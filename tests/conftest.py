@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import re
+from collections.abc import Generator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -71,6 +73,19 @@ def _shared_by(path: str) -> str | None:
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> SharedFixtures | None:
     """Use :class:`SharedFixtures`, unless ``--dist`` names another way."""
     return SharedFixtures(config, log) if config.getoption("dist") in ("load", "loadscope") else None
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Search for garbage once after thousands of tests are collected, and leave them out of every later search."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.collect()
+        gc.freeze()
+        gc.set_threshold(20_000)  # As in commands.
+        gc.enable()
 
 
 @pytest.fixture(scope="session")
