@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from types import MappingProxyType
@@ -20,7 +21,8 @@ from typing import Any
 from metafab import __version__
 from metafab.core.errors import noted
 from metafab.core.numeric.ahead import compiling_ahead
-from metafab.core.parallel.measure import measured
+from metafab.core.parallel.beside import Beside, begin_beside
+from metafab.core.parallel.measure import Cost, measured
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, plain, whole_file, write_json
 from metafab.core.storage.lock import alone_in
@@ -129,7 +131,8 @@ def run(
 
 def _run(job: Job, steps: Sequence[Step], check: Step, say: Callable[[Sequence[str]], None]) -> RunSummary:
     design, folder = job.design, job.folder
-    state = _State(job, _read_records(folder, (check, *steps)), _read_log(folder))
+    names = tuple(step.name for step in (check, *steps))
+    state = _State(job, names, _read_records(folder, (check, *steps)), _read_log(folder))
     if not state.is_current(check):
         figures = check.work(job)
         say(figures.announcements)
@@ -141,11 +144,16 @@ def _run(job: Job, steps: Sequence[Step], check: Step, say: Callable[[Sequence[s
         with whole_file(folder / "design.toml") as part:
             part.write_text(canonical_toml(design, folder), encoding="utf-8")
 
-        for step in steps:
-            # The page shows the summary, which is written before the page and again with the cost of the page.
-            if step.shows_summary and not state.is_current(step):
-                state.summary().save(folder / SUMMARY_FILE)
-            state.bring_up_to_date(step)
+        try:
+            for step in steps:
+                state.collect(step.after)
+                # The page shows the summary, which is written before the page and again with the cost of the page.
+                if step.shows_summary and not state.is_current(step):
+                    state.summary().save(folder / SUMMARY_FILE)
+                state.bring_up_to_date(step)
+            state.collect(names)
+        finally:
+            state.end_copies()
         state.save_records()
         summary = state.summary()
         summary.save(folder / SUMMARY_FILE)
@@ -166,29 +174,65 @@ class _State:
     """Records and times of earlier runs, and the progress of this one."""
 
     job: Job
+    names: tuple[str, ...]  #: All steps, in their order.
     records: dict[str, Record]
     log: _Log
     used: dict[str, Record] = field(default_factory=dict)
     skipped: list[SkippedStep] = field(default_factory=list)
+    #: Steps that copies of this process run, in their order.
+    copies: dict[str, tuple[Step, Beside[tuple[Any, Cost]]]] = field(default_factory=dict)
 
     def bring_up_to_date(self, step: Step) -> None:
-        """Run a step unless it is up to date or not needed; save its record before the next step begins."""
+        """Run a step unless it is up to date or not needed, or begin one that may run beside others.
+
+        The steps that it comes after are collected. Its record is saved before the next step begins, or when it is
+        collected.
+        """
         if why := step.not_needed(self.job.design):
             self.forget(step)
             self.skipped.append(SkippedStep(step.name, why))
             return
         if self.job.skips and self.is_current(step):
             self.skipped.append(SkippedStep(step.name, UNCHANGED, self.log.seconds.get(step.name)))
+        elif step.is_beside and (copy := begin_beside(partial(_cost_of, step, self.job.silenced()), self.workers)):
+            self.copies[step.name] = step, copy
+            return
         else:
-            with noted(f"step `{step.name}`"), measured() as cost:
-                figures = step.work(self.job)
-            paths = {relative_to(self.job.folder, path): path for path in step.outputs(self.job)}
-            marks = {name: FileMark.of(path) for name, path in paths.items()}
-            self.records[step.name] = Record.of(self.fingerprint(step), marks, figures)
-            self.log.seconds[step.name], self.log.peak_rss_mb[step.name] = cost.seconds, cost.peak_rss_mb
-            self.log.modified_ns.update({name: path.stat().st_mtime_ns for name, path in paths.items()})
-            self.save_records()
+            self.keep(step, partial(_cost_of, step, self.job))
         self.used[step.name] = self.records[step.name]
+
+    @property
+    def workers(self) -> int | None:
+        """Processes of this machine for the run; None for all cores."""
+        return 1 if self.job.work.cluster is not None else self.job.work.workers
+
+    def keep(self, step: Step, work: Callable[[], tuple[Any, Cost]]) -> None:
+        """Save the record of a step with the outcome of its work, figures and cost."""
+        with noted(f"step `{step.name}`"):
+            figures, cost = work()
+        paths = {relative_to(self.job.folder, path): path for path in step.outputs(self.job)}
+        marks = {name: FileMark.of(path) for name, path in paths.items()}
+        self.records[step.name] = Record.of(self.fingerprint(step), marks, figures)
+        self.log.seconds[step.name], self.log.peak_rss_mb[step.name] = cost.seconds, cost.peak_rss_mb
+        self.log.modified_ns.update({name: path.stat().st_mtime_ns for name, path in paths.items()})
+        self.save_records()
+
+    def collect(self, names: Collection[str]) -> None:
+        """Wait for those of the named steps that copies of this process run."""
+        for name in [each for each in self.copies if each in names]:
+            step, copy = self.copies[name]
+            self.keep(step, copy.result)
+            del self.copies[name]
+            kept = self.used | {name: self.records[name]}
+            self.used = {each: kept[each] for each in self.names if each in kept}
+            self.records = {each: self.records[each] for each in self.names if each in self.records}
+
+    def end_copies(self) -> None:
+        """End the copies that are still at work, and remove what they had half written."""
+        for _, copy in self.copies.values():
+            copy.kill()
+        if self.copies:
+            clear_parts(self.job.folder)
 
     def forget(self, step: Step) -> None:
         """Remove the files and the record of a step that the design no longer needs."""
@@ -243,6 +287,13 @@ class _State:
         tolerance = recorded_tolerance(self.job) or summary.tolerance
         saved = ledger(self.job.design, summary.library, summary.layout, summary.psf, summary.decode)
         return replace(summary, tolerance=tolerance, error_budget=error_budget(summary), saved=saved)
+
+
+def _cost_of(step: Step, job: Job) -> tuple[Any, Cost]:
+    """Run a step; return its figures and its cost."""
+    with measured() as cost:
+        figures = step.work(job)
+    return figures, cost
 
 
 def skipping_all(summary: RunSummary) -> RunSummary:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import ValidationError
 
 from metafab.core.errors import InputError
+from metafab.core.parallel.progress import silent
 from metafab.core.parallel.work import Work
 from metafab.spec import Design, Light
 from metafab.spec.keys.faults import faults_of
@@ -40,6 +41,12 @@ class Job:
         from metafab.phase import profile_of
 
         return profile_of(self.design, progress=self.work.progress)
+
+    def silenced(self) -> Job:
+        """Return this job without its progress, for a copy of the process; the target phases are shared."""
+        job = replace(self, work=replace(self.work, progress=silent))
+        vars(job).update(vars(self) | vars(job))
+        return job
 
     def at_light(self, light: Light) -> Job:
         """Return the job of one light alone.
@@ -104,6 +111,9 @@ class Step:
     #: Returns why a design does not need the step, or None if it does.
     not_needed: Callable[[Design], str | None] = lambda design: None
     reads: tuple[str, ...] = ()  #: Files of the run folder that other commands may have written and that the step uses.
+    #: Whether other steps may go on in this process while a copy of it runs this one: one that takes a single core, and
+    #: leaves nothing but files and figures.
+    is_beside: bool = False
     shows_summary: bool = False  #: Whether the step reads ``summary.json``, which is then written before it.
 
 

@@ -82,4 +82,5 @@ STUDY = Step(
     outputs=in_folder("phase_study.h5"),
     work=_study,
     figures=StudyFigures,
+    is_beside=True,
 )

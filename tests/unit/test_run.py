@@ -6,6 +6,8 @@ import json
 import os
 import re
 import shutil
+import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
@@ -16,7 +18,8 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.core.figures import PhaseFigures
-from metafab.core.storage.files import fingerprint
+from metafab.core.parallel.work import Work
+from metafab.core.storage.files import fingerprint, whole_file
 from metafab.core.storage.provenance import contents_sha256
 from metafab.run import REPORT, STEPS, Record, ReportFigures, run
 from metafab.spec import Design, load_design
@@ -64,6 +67,12 @@ def chain() -> Chain:
     return Chain()
 
 
+@pytest.fixture
+def alone() -> None:
+    if threading.active_count() > 1:
+        pytest.skip("beside other threads nothing is copied")
+
+
 def _changed(design: Design, **tables: Any) -> Design:
     return replace(design, **{name: replace(getattr(design, name), **keys) for name, keys in tables.items()})
 
@@ -75,6 +84,49 @@ def test_nothing_changed_nothing_done(tmp_path: Path, small_design: Design, chai
     summary = run(small_design, tmp_path, steps=chain.steps)
     assert chain.done == []
     assert [entry.step for entry in summary.skipped] == ["phase", "drc", "capture", "report"]
+
+
+@pytest.mark.usefixtures("alone")
+def test_a_step_beside_others_is_in_its_place_when_all_are_done(
+    tmp_path: Path, small_design: Design, chain: Chain
+) -> None:
+    """The copy that runs `drc` waits for the file of the step after it."""
+    alone, both = tmp_path / "alone", tmp_path / "both"
+    run(small_design, alone, steps=chain.steps)
+    work = chain.steps[1].work
+
+    def waiting(job: Job) -> Any:
+        while not (job.folder / "capture.txt").exists():
+            time.sleep(0.01)
+        return work(job)
+
+    beside = run(small_design, both, steps=chain.changed("drc", work=waiting, is_beside=True), work=Work(2))
+    assert chain.done == ["phase", "drc", "capture", "report", "phase", "capture", "report"]
+    assert list(beside.seconds) == ["phase", "drc", "capture", "report"]
+    assert (both / "steps.json").read_bytes() == (alone / "steps.json").read_bytes()
+
+
+@pytest.mark.usefixtures("alone")
+def test_a_failure_ends_the_steps_beside_it(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    def working(job: Job) -> Any:
+        with whole_file(job.folder / "drc.txt"):
+            (job.folder / "begun").touch()
+            time.sleep(600.0)
+
+    def failing(job: Job) -> Any:
+        while not (job.folder / "begun").exists():
+            time.sleep(0.01)
+        raise InputError.single("scene", "depth", "one", "none")
+
+    steps = tuple(
+        replace(step, work={"drc": working, "capture": failing}.get(step.name, step.work), is_beside=step.name == "drc")
+        for step in chain.steps
+    )
+    began_s = time.monotonic()
+    with pytest.raises(InputError):
+        run(small_design, tmp_path, steps=steps, work=Work(2))
+    assert time.monotonic() - began_s < 300.0
+    assert not list(tmp_path.glob(".*.part"))
 
 
 def test_a_file_that_another_command_left_reaches_the_step_that_reads_it(

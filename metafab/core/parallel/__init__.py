@@ -4,6 +4,7 @@
 - ``executor``    executors over processes, threads or a Dask cluster, and streams of results
 - ``cluster``     executor over a Dask cluster, watch over its scheduler and workers
 - ``forked``      short work in forked processes
+- ``beside``      one call in a forked process, while this one goes on
 - ``processes``   worker processes, which end with their parent
 - ``interrupts``  Ctrl-C and SIGTERM
 - ``progress``    the progress callback

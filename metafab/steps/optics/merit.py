@@ -307,4 +307,5 @@ MERIT = Step(
     figures=MeritFigures,
     not_needed=no_mask,
     reads=("coupling.json",),
+    is_beside=True,
 )

@@ -1,0 +1,73 @@
+"""A call in a forked copy of this process, which goes on with other work meanwhile."""
+
+from __future__ import annotations
+
+import multiprocessing
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any, Generic, TypeVar
+
+from metafab.core.parallel.executor import default_workers
+from metafab.core.parallel.interrupts import held_interrupts
+from metafab.core.parallel.processes import begin_copy, can_fork
+
+Result = TypeVar("Result")
+
+
+class Beside(Generic[Result]):
+    """A call that has begun in a copy of this process; OSError where the system has no room for one.
+
+    The copy inherits the memory, so that only the result is pickled. It ends with this process, however that ends.
+    """
+
+    def __init__(self, call: Callable[[], Result]) -> None:
+        context = multiprocessing.get_context("fork")
+        self._call = call
+        self._answers, end = context.Pipe(duplex=False)
+        self._process = context.Process(target=_answer, args=(call, end))
+        try:
+            with held_interrupts():
+                self._process.start()
+        finally:
+            end.close()
+
+    def result(self) -> Result:
+        """Wait for the result, or raise the exception of the call; if its process was killed, do it here."""
+        try:
+            error, result = self._answers.recv()
+        except EOFError:
+            return self._call()
+        finally:
+            self.kill()
+        if error is not None:
+            raise error
+        return result  # type: ignore[no-any-return]
+
+    def kill(self) -> None:
+        """End the copy; what it has not answered is lost."""
+        self._process.kill()
+        self._process.join()
+        self._answers.close()
+
+
+def begin_beside(call: Callable[[], Result], workers: int | None = None) -> Beside[Result] | None:
+    """Begin a call in a copy of this process.
+
+    None for one worker (``workers`` None is all cores), beside other threads, on systems other than Linux, and where
+    the system has no room for a process: do the call later, then.
+    """
+    if (workers or default_workers()) < 2 or not can_fork() or multiprocessing.current_process().daemon:
+        return None
+    try:
+        return Beside(call)
+    except OSError:
+        return None
+
+
+def _answer(call: Callable[[], Any], end: Connection) -> None:
+    begin_copy()
+    try:
+        answer: tuple[Exception | None, Any] = None, call()
+    except Exception as error:  # raised again by `result`
+        answer = error, None
+    end.send(answer)
