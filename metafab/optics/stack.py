@@ -21,6 +21,7 @@ from metafab.optics.point_spread import Psf, PsfDetails, PsfField
 from metafab.optics.propagation.blocks import reduce_to_target
 from metafab.optics.propagation.image import Window, relative_l2
 from metafab.optics.propagation.pupil import Pupil
+from metafab.optics.sources.oblique import from_direction
 from metafab.optics.sources.source import Source
 
 
@@ -59,6 +60,7 @@ def psf(
     depths = [float(z) for z in depths_m]
     grid = None if field_tangents is None else _grid(field_tangents)
     require_valid(imaging, depths, tangent, grid, numerics)
+    source = from_direction(source, tangent, grid)
     window = Window.for_target(imaging, numerics)
     windows = window.over_band(tangent, numerics.filter_fwhm_nm)
     directions = [tangent]

@@ -155,6 +155,9 @@ class Optics(Checked):
     #: Whether the light of a pillar depends on its neighbours; by default where the library's model of them lowers the
     #: error.
     neighbours: Flag | None = None
+    #: Whether the light of a pillar depends on the direction from which it comes; false without the key. The directions
+    #: are those of the scene's field.
+    oblique: Flag | None = None
 
     def _faults(self) -> Iterator[str]:
         if (self.amplitude_file is None) != (self.amplitude_pitch_um is None):
@@ -288,6 +291,8 @@ class Design(Checked):
                 "`verify.centre_um` moves the window of a device without scene and `split_lens`, whose windows follow "
                 "the images of objects"
             )
+        if self.optics is not None and self.optics.oblique and self.scene is None:
+            yield "`optics.oblique` needs a `scene`, whose field sets the directions of the light"
         if self.verify.target_depth_error is not None and self.scene is None:
             yield "`verify.target_depth_error` needs a `scene`, whose depths it is about"
         informed = any(isinstance(term, SpiralZones) and term.optimise == "blind_information" for term in self.phase)
@@ -410,6 +415,7 @@ class Design(Checked):
             "rules.neighbours": rules.neighbours,
             # Libraries at other wavelengths have no model of neighbours.
             "optics.neighbours": self.optics is not None and self.optics.neighbours is True,
+            "optics.oblique": self.optics is not None and self.optics.oblique is True,
         }
         if given := [name for name, stands in hindrances.items() if stands]:
             yield f"`light` is not available with `{'`, `'.join(given)}`; leave one out"

@@ -25,6 +25,7 @@ def require_turnable(design: Design) -> None:
     if design.optics is not None:
         unavailable["optics.filter_fwhm_nm"] = design.optics.filter_fwhm_nm is not None
         unavailable["optics.substrate_um"] = design.optics.substrate_um > 0.0
+        unavailable["optics.oblique"] = design.optics.oblique is True
     for number, term in enumerate(design.phase):
         unavailable[f"phase[{number}].term"] = term.deflects and not isinstance(term, SplitLens)
         unavailable[f"phase[{number}].object_depth_m"] = isinstance(term, SplitLens) and term.object_depth_m is not None

@@ -216,7 +216,9 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
             "oblique light",
             None if psf is None else psf.oblique_error,
             "relative L2",
-            "field of sizes of the mask under light from the corner of the field, common phase taken out",
+            "field of sizes of the mask under light from the corner of the field, common phase taken out"
+            if psf is None or psf.oblique_change is None
+            else f"the same of held-out sizes by the change that the PSFs carry, which is {psf.oblique_change:.2g}",
         ),
         BudgetLine(
             "pupil reduction and sampling",

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import Executor
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from itertools import product
 
@@ -18,6 +19,7 @@ from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
 from metafab.optics.geometry.path import Ray
 from metafab.optics.propagation.image import Window
 from metafab.optics.propagation.pupil import Carrier, Pupil, expansion_error_rad, reduce_field
+from metafab.optics.sources.oblique import COEFFICIENTS, oblique_of
 from metafab.optics.sources.source import Source
 
 #: Blocks along a side in the first pass: enough for an error of 1e-4 with the lenses that were measured.
@@ -51,7 +53,7 @@ def reduce_to_target(
     """Return the pupils of the coarsest blocks that keep the target error in all ``windows``.
 
     Args:
-        source: field behind the metasurface.
+        source: field behind the metasurface; one that depends on the direction is that from ``tangent``.
         windows: windows in which the error is estimated; the first sets the carriers.
         depths_m: shape (n_depth,), object depths, ascending.
         tangent: object direction.
@@ -80,6 +82,7 @@ def reduce_to_target(
     stray = Carrier(1, Ray.towards_image(imaging, 0, mean_depth, tangent).in_air, _stray_block(imaging, source, block))
     stray_pupil: Pupil | None = None
     ends = sorted({depths_m[0], depths_m[-1]})
+    oblique = oblique_of(source)
 
     def keep_target(pyramids: list[list[Pupil]], level: int) -> bool:
         """Whether blocks of this level keep the target in all windows and directions; the first that fails decides."""
@@ -99,9 +102,16 @@ def reduce_to_target(
         )
         carriers = [Carrier(p, ray.in_air, block) for p, ray in enumerate(rays)]
         carriers += [stray] if stray_pupil is None else []
+        count = len(carriers)
+        if oblique is not None and grid is not None:
+            further = range(2, 2 + 2 * COEFFICIENTS)  # the coefficients of x, then those of y polarisation
+            carriers += [replace(carriers[(k - 2) // COEFFICIENTS], polarisation=k) for k in further]
         pupils = reduce_field(source, carriers, imaging.wavenumber, work)
+        pupils, changes = pupils[:count], pupils[count:]
         stray_pupil = pupils.pop() if stray_pupil is None else stray_pupil
-        pyramids = [_pyramid(pupils.pop(0)), _pyramid(pupils.pop(0))]
+        pairs = zip(pupils, (changes[:COEFFICIENTS], changes[COEFFICIENTS:]), strict=True)
+        pyramids = [_pyramid(replace(pupil, tangent=tangent, changes=tuple(its))) for pupil, its in pairs]
+        del pupils, changes  # the finest of a pyramid is freed with the pyramid
         for level in range(len(pyramids[0]) - 2, -1, -1):
             edge_phase_rad = _edge_phase_rad(windows[0], max(pyramids[0][level].block_um))
             if (level == 0 or edge_phase_rad <= _LARGEST_EDGE_PHASE_RAD) and keep_target(pyramids, level):

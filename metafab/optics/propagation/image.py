@@ -94,6 +94,7 @@ class Window:
             entry: of the Jones matrix of a birefringent substrate; by default ``polarisation`` behind and before it.
         """
         rays = [Ray.towards_image(self.imaging, polarisation, depth, tangent, entry) for depth in depths_m]
+        pyramid = [pupil.towards(tangent) for pupil in pyramid[:2]]
         exact = pyramid[0].carrier.block_sites == 1 or len(pyramid) == 1
         indices = {"all": list(range(len(rays))), "ends": sorted({0, len(rays) - 1}), "none": []}[judged]
         ways = [(pyramid[0], rays)]

@@ -25,7 +25,9 @@ from metafab.core.parallel.executor import default_workers
 from metafab.core.parallel.work import Work
 from metafab.core.storage.scratch import release, scratch
 from metafab.layout.pillars import Lattice
+from metafab.library.use.oblique import powers
 from metafab.optics.geometry.aperture import sub_apertures_um
+from metafab.optics.geometry.imaging import Tangent
 from metafab.optics.geometry.path import Ray, RayNumbers, path_um
 from metafab.optics.sources.source import FieldTile, Source
 
@@ -58,6 +60,23 @@ class Pupil:
     #: about the block centre, um.
     sums: ComplexArray
     power: FloatArray  #: Shape (n_y, n_x), sum over the block of the squared amplitude.
+    tangent: Tangent = (0.0, 0.0)  #: Direction of the light under which the amplitudes are these.
+    #: Pupils of the coefficients by which they change with the direction (:func:`metafab.library.use.oblique.powers`);
+    #: none if they do not.
+    changes: tuple[Pupil, ...] = ()
+
+    def towards(self, tangent: Tangent) -> Pupil:
+        """Return the sums under light from the direction ``tangent``; ``power`` stays that of the pupil's direction."""
+        if not self.changes or tangent == self.tangent:
+            return self
+        weights = powers(tangent) - powers(self.tangent)
+        sums = _zero_sums(*self.power.shape)[0]
+        for rows, band in self.bands():
+            sums[:, rows] = band.sums
+            for weight, change in zip(weights.tolist(), self.changes, strict=True):
+                sums[:, rows] += weight * change.sums[:, rows]
+            release(sums)
+        return replace(self, sums=sums, tangent=tangent, changes=())
 
     @property
     def block_um(self) -> tuple[float, float]:
@@ -119,7 +138,7 @@ class Pupil:
             coarse.sums[2, into] = _sum_of_four(band.sums[2] + offset_y[:, None] * band.sums[0])
             coarse.power[into] = _sum_of_four(band.power)
             coarse.release()
-        return coarse
+        return replace(coarse, changes=tuple(change.coarsened() for change in self.changes))
 
     def transmitted(self, ray: Ray) -> float:
         """Return the integral of the transmitted flux over the lens for the object of ``ray``, um^2."""

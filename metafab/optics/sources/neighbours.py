@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,11 +62,6 @@ class NeighbourField:
         """Pillars of the mask."""
         return self.lone.pillars
 
-    @cached_property
-    def columns(self) -> list[int]:
-        """First column of each tile."""
-        return list(range(0, self.lattice.shape[1], _TILE_SITES))
-
     def tiles(self) -> Iterator[FieldTile]:
         """Return the tiles with pillars, solved on the first pass; the number of threads does not change amplitudes."""
         if self._kept.amplitudes is not None:
@@ -76,7 +70,7 @@ class NeighbourField:
         amplitudes = self._scratch()
         places: list[tuple[int, int]] = []
         with open_threads(self.workers) as threads:
-            for tile in in_order(threads, self._tile, self._windows(), ahead=4):
+            for tile in in_order(threads, self._tile, size_windows(self.pillars, HALO_SITES), ahead=4):
                 if amplitudes is not None:
                     amplitudes[_sites(tile.row, tile.column)] = tile.amplitudes
                     if places and places[-1][0] != tile.row:
@@ -101,17 +95,6 @@ class NeighbourField:
                 release(amplitudes)
                 last = row
             yield FieldTile(row, column, amplitudes=amplitudes[_sites(row, column)].astype(np.complex128))
-
-    def _windows(self) -> Iterator[tuple[int, int, SizeIndexArray]]:
-        """(row, column) of each tile with pillars, and its size indices with ``HALO_SITES`` neighbours a side."""
-        n_y, n_x = self.lattice.shape
-        for row, band in _bands(self.pillars, _TILE_SITES, HALO_SITES):
-            height = min(_TILE_SITES, n_y - row)
-            wide = np.pad(band[: height + 2 * HALO_SITES], ((0, 0), (HALO_SITES, HALO_SITES)))
-            for column in self.columns:
-                window = wide[:, column : min(column + _TILE_SITES, n_x) + 2 * HALO_SITES]
-                if window[HALO_SITES:-HALO_SITES, HALO_SITES:-HALO_SITES].any():
-                    yield row, column, window
 
     def _tile(self, window: tuple[int, int, SizeIndexArray]) -> FieldTile:
         row, column, size_index = window
@@ -140,6 +123,18 @@ def neighbour_field(pillars: PillarMap, library: Library, workers: int | None = 
     factor = np.sqrt(n_out.real / n_in.real)
     tables = NeighbourTables.of(neighbours, pillars.size_nm())
     return NeighbourField(written_field(pillars, library), tables, (float(factor[0]), float(factor[1])), workers)
+
+
+def size_windows(pillars: PillarMap, halo: int) -> Iterator[tuple[int, int, SizeIndexArray]]:
+    """Row and column of each tile with pillars, and its size indices with ``halo`` neighbours a side."""
+    n_y, n_x = pillars.lattice.shape
+    for row, band in _bands(pillars, _TILE_SITES, halo):
+        height, inner = min(_TILE_SITES, n_y - row), slice(halo, -halo or None)
+        wide = np.pad(band[: height + 2 * halo], ((0, 0), (halo, halo)))
+        for column in range(0, n_x, _TILE_SITES):
+            window = wide[:, column : min(column + _TILE_SITES, n_x) + 2 * halo]
+            if window[inner, inner].any():
+                yield row, column, window
 
 
 def _sites(row: int, column: int) -> tuple[slice, slice, slice]:

@@ -113,9 +113,11 @@ class PsfFigures(PairFigures):
     filter_fwhm_nm: float | None = optional()  #: Width of the colour filter; None for one wavelength.
     #: True where the library's model of unlike neighbours gave the light of the pillars, else None.
     with_neighbours: bool | None = optional()
-    #: Relative rms change of the pillars' light from the corner of the field, which comes at an angle; None without a
-    #: field, and where it was not solved (:func:`metafab.library.use.error_terms.oblique_field_error`).
+    #: Relative rms error of the pillars' light from the corner of the field, which comes at an angle: its change, or
+    #: what ``[optics] oblique`` leaves of it. None without a field, and where it was not solved
+    #: (:func:`metafab.library.use.oblique.oblique_field_error`).
     oblique_error: float | None = optional()
+    oblique_change: float | None = optional()  #: The change itself where the PSFs carry it, else None.
 
     @classmethod
     def compared(

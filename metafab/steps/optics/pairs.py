@@ -26,7 +26,7 @@ from metafab.steps.job import Job, Step, in_folder
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import library_path, open_library
 from metafab.steps.optics.figures import PsfFigures
-from metafab.steps.optics.sources import ideal_source, lit_source, source_of, written_light
+from metafab.steps.optics.sources import ideal_source, light_over_field, lit_source, source_of, written_light
 
 if TYPE_CHECKING:
     from metafab.layout import PillarMap
@@ -248,12 +248,14 @@ def _psf_files(job: Job) -> tuple[Path, ...]:
 def _psf(job: Job) -> PsfFigures:
     from metafab.optics import Imaging, NeighbourField
     from metafab.optics.measures.landing import light_elsewhere
+    from metafab.optics.sources.oblique import ObliqueField
 
     design, psf_of = job.design, _verified_psf(job)
     ideal_light = lit_source(job, ideal_source(job))
     mask_path = mask_paths(job)[-1] if design.has_mask else None
     pillars = None if mask_path is None else written_light(job, mask_path)
-    source = ideal_light if pillars is None else lit_source(job, pillars)
+    seen = None if pillars is None else light_over_field(job, pillars)
+    source = ideal_light if seen is None else lit_source(job, seen)
     written = _calibration(job, source)
     save_psf(job, written, mask_path, job.folder / "psf.h5")
     ideal = None
@@ -271,13 +273,18 @@ def _psf(job: Job) -> PsfFigures:
     return replace(
         figures,
         with_neighbours=isinstance(pillars, NeighbourField) or None,
-        oblique_error=None if pillars is None else _oblique_error(job, pillars.pillars),
+        oblique_error=seen.change.left
+        if isinstance(seen, ObliqueField)
+        else None
+        if pillars is None
+        else _oblique_error(job, pillars.pillars),
+        oblique_change=seen.change.change if isinstance(seen, ObliqueField) else None,
     )
 
 
 def _oblique_error(job: Job, pillars: PillarMap) -> float | None:
     """Change of the pillars' light from the corner of the field; None without a field."""
-    from metafab.library.use.error_terms import oblique_field_error
+    from metafab.library.use.oblique import oblique_field_error
     from metafab.optics.geometry.imaging import Imaging, field_corner
 
     corner = field_corner(job.design, Imaging.of(job.design))

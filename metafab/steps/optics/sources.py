@@ -10,6 +10,7 @@ from collections.abc import Hashable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from metafab.core.errors import InputError
 from metafab.core.storage.files import Latest, file_mark, fingerprint
 from metafab.steps.exposure import Printed, made_mask
 from metafab.steps.job import Job
@@ -17,12 +18,16 @@ from metafab.steps.library import library_path, open_library
 
 if TYPE_CHECKING:
     from metafab.layout import PillarMap
+    from metafab.library.use.oblique import ObliqueChange
     from metafab.optics import NeighbourField, Source, WrittenField
+    from metafab.optics.sources.oblique import ObliqueField
 
 #: The pillars that were read last, shared by the steps of a run.
 _READ: Latest[PillarMap] = Latest()
 #: Their field among neighbours, solved once for all steps of a run.
 _AMONG: Latest[NeighbourField] = Latest()
+#: Their change by the direction of the light, likewise.
+_OBLIQUE: Latest[ObliqueChange | None] = Latest()
 
 
 def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) -> WrittenField:
@@ -61,6 +66,33 @@ def written_light(job: Job, path: Path, copy: int = 1) -> WrittenField | Neighbo
     return _AMONG.of(key, lambda: optics.neighbour_field(lone.pillars, library, job.work.workers))
 
 
+def light_over_field(job: Job, straight: WrittenField | NeighbourField) -> WrittenField | NeighbourField | ObliqueField:
+    """Light of the pillars under light from each direction of the field, if ``[optics] oblique`` asks for it.
+
+    InputError where RCWA does not solve such pillars at angles.
+    """
+    from metafab.optics.geometry.imaging import Imaging, field_corner
+
+    design = job.design
+    if design.optics is None or not design.optics.oblique or job.nominal is not None:
+        return straight
+    from metafab.library.use.oblique import oblique_change
+    from metafab.optics.sources.oblique import ObliqueField
+
+    corner, pillars = field_corner(design, Imaging.of(design)), straight.pillars
+    assert corner is not None  # the design asks for a scene
+    key = fingerprint(design), pillars.numbers().tobytes(), file_mark(library_path(job))
+
+    def solved() -> ObliqueChange | None:
+        library, workers = open_library(job), job.work.workers
+        return oblique_change(library, pillars.size_nm(), pillars.numbers(), corner, workers)
+
+    if (change := _OBLIQUE.of(key, solved)) is None:
+        got, remedy = "others, or none", "remove `oblique` from `[optics]`"
+        raise InputError.single(design.name, "optics.oblique", "upright rectangles on a clear substrate", got, remedy)
+    return ObliqueField(straight, change)
+
+
 def ideal_source(job: Job) -> Source:
     """Transmitted field of the target phases, without a mask."""
     from metafab import layout, optics
@@ -86,7 +118,7 @@ def source_of(
     if sizes is not None:
         return lit_source(job, _measured_field(job, path, copy, sizes)), math.nan
     if printed is None:
-        return lit_source(job, written_light(job, path, copy)), math.nan
+        return lit_source(job, light_over_field(job, written_light(job, path, copy))), math.nan
     made = made_mask(job, path, printed, copy).field
     return lit_source(job, made.field), made.error
 
