@@ -103,7 +103,7 @@ def assign(
     ``kept_sites`` sites, which is mapped anew on each reading, is read. InputError if the library has no size that the
     rules allow, or lengths do not fit the database unit.
     """
-    mapping = mapping_of(profile, library, design, lights)
+    mapping = mapping_of(profile, library, design, lights, executor)
     table, lattice, corners = mapping.table, mapping.aperture.lattice, mapping.corners()
     kept = math.prod(lattice.shape) <= kept_sites
     whole = np.zeros(lattice.shape if kept else (0, 0), dtype=np.uint16)
@@ -188,7 +188,11 @@ def _mapped(
 
 
 def mapping_of(
-    profile: PhaseProfile, library: Library, design: Design, lights: Sequence[LightTarget] = ()
+    profile: PhaseProfile,
+    library: Library,
+    design: Design,
+    lights: Sequence[LightTarget] = (),
+    executor: Executor | None = None,
 ) -> TileMapping:
     """Return the mapping of a design's tiles, with the constant phases that suit the library best.
 
@@ -211,10 +215,10 @@ def mapping_of(
     mapping = TileMapping(
         profile, table, aperture, offsets, tile_sites(design), joint, choice, lights=of_lights, outline=outline
     )
-    return _by_table(mapping) if design.rules.neighbours == "table" else mapping
+    return _by_table(mapping, executor) if design.rules.neighbours == "table" else mapping
 
 
-def _by_table(mapping: TileMapping) -> TileMapping:
+def _by_table(mapping: TileMapping, executor: Executor | None) -> TileMapping:
     """Mapping by one look-up a pillar, from the mean change of t that the choice among neighbours makes in a sample.
 
     Other windows, if the lens has them, measure the light of the mapping.
@@ -225,12 +229,13 @@ def _by_table(mapping: TileMapping) -> TileMapping:
     chosen = np.unique(spread[:_WINDOWS])
     unseen = np.setdiff1d(spread[_WINDOWS:], chosen)
     with ThreadPoolExecutor(default_workers()) as threads:
-        sums = sum(threads.map(sampled.phase_shifts, [corners[k] for k in chosen]))
+        each = partial(in_order, executor or threads, ahead=AHEAD)
+        sums = sum(each(sampled.phase_shifts, [corners[k] for k in chosen]))
         places = np.meshgrid(*[np.arange(mapping.table.cells) * (SHIFT_CELLS / mapping.table.cells)] * 2, indexing="ij")
-        turned = [map_coordinates(each, places, order=1, mode="grid-wrap") for each in np.asarray(sums)]
+        turned = [map_coordinates(shift, places, order=1, mode="grid-wrap") for shift in np.asarray(sums)]
         table = mapping.table.shifted(np.angle(turned).astype(np.float64))
         judged = [corners[k] for k in (unseen if unseen.size else chosen)]
-        first, *others = threads.map(partial(sampled.sampled, table=table), judged)
+        first, *others = each(partial(sampled.sampled, table=table), judged)
     return replace(mapping, table=table, choice=None, sample=sum(others, first))
 
 

@@ -69,9 +69,11 @@ class TileSums:
         )
 
     def with_light_of(self, sample: TileSums) -> TileSums:
-        """Return these sums with the mean light that a sample's pillars have among their neighbours."""
+        """Return these sums with the mean light that a sample's pillars have among their neighbours, if it has any."""
         assert sample.among is not None
         assert sample.among_square_error is not None
+        if not sample.pillars:
+            return self
         share = self.pillars / sample.pillars
         return replace(self, among=share * sample.among, among_square_error=share * sample.among_square_error)
 

@@ -70,9 +70,13 @@ def compiling_ahead(workers: int | None = None, table: Path = KERNELS) -> Iterat
 
 
 def start_helpers() -> None:
-    """Start the processes that wait for this process' first compilation; called after each one, without locks."""
-    with suppress(IndexError):
-        _waiting.pop().start()
+    """Start the processes that wait for this process' first compilation; called after each one, without locks.
+
+    Beside other threads none can be forked, and they wait for the next compilation.
+    """
+    if can_fork():
+        with suppress(IndexError):
+            _waiting.pop().start()
 
 
 class _Helpers:
@@ -88,7 +92,7 @@ class _Helpers:
 
     def start(self) -> None:
         """Fork the processes, which inherit the imported kernels; fewer or none where the system has no room."""
-        if self._count == 1 or not can_fork() or multiprocessing.current_process().daemon:
+        if self._count == 1 or multiprocessing.current_process().daemon:
             return
         files = listed_kernels(self._table)
         self._numbers, end = os.pipe()

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ import pytest
 from metafab import layout
 from metafab.core.conventions import FloatArray, Polarisation, wrap_phase
 from metafab.core.errors import InputError
+from metafab.core.parallel.executor import SerialExecutor
 from metafab.layout import Aperture, Assignment, PillarMap
 from metafab.layout.gap_rule import allowed_sizes
 from metafab.library import Library
@@ -161,6 +164,18 @@ def coupled_library(smooth_library: Library) -> Library:
     return replace(smooth_library, neighbours=Neighbours((along, along), (across, across)))
 
 
+class _Recording(SerialExecutor):
+    """Notes the names of the functions that it runs."""
+
+    def __init__(self) -> None:
+        self.names: list[str] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        function = fn.func if isinstance(fn, partial) else fn
+        self.names.append(getattr(function, "__name__", ""))
+        return super().submit(fn, *args, **kwargs)
+
+
 def test_sizes_chosen_among_neighbours_send_more_light_to_the_target(
     tiny: Assignment,
     profile: PhaseProfile,
@@ -200,7 +215,9 @@ def test_sizes_chosen_among_neighbours_send_more_light_to_the_target(
     assert tiled.figures.neighbour_efficiency == pytest.approx(efficiency(tiled.pillars), rel=1e-3)
     # By the table, from eight windows of the mask; eight others state its light.
     monkeypatch.setattr(sys.modules[Assignment.__module__], "_WINDOW_SITES", 32)
-    table = layout.assign(profile, coupled_library, replace(asked, rules=replace(asked.rules, neighbours="table")))
+    by_table, asked_of = replace(asked, rules=replace(asked.rules, neighbours="table")), _Recording()
+    table = layout.assign(profile, coupled_library, by_table, executor=asked_of)
+    assert asked_of.names.count("phase_shifts") == asked_of.names.count("sampled") == 8
     light, light_before = efficiency(table.pillars), efficiency(tiny.pillars)
     assert light - light_before > (efficiency(tiled.pillars) - light_before) / 3.0
     sampled = table.figures

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -64,8 +66,12 @@ def test_two_halves_add_up_to_the_whole(table: SizeTable) -> None:
 
 
 def test_an_empty_block_adds_nothing(table: SizeTable) -> None:
+    """As a sample of the light among neighbours it tells nothing of the others."""
     sums = TileSums.of(np.zeros((3, 4), dtype=np.uint16), np.ones((2, 3, 4)), table, np.inf)
     assert sums.pillars == 0
     assert not sums.overlap.any()
     assert not sums.power.any()
     assert not sums.square_error.any()
+    whole = TileSums.of(*_block(table, 5, (4, 6)), table, np.inf)
+    sample = replace(sums, among=np.zeros((2, 2), dtype=complex), among_square_error=np.zeros(2))
+    assert whole.with_light_of(sample) is whole

@@ -33,6 +33,10 @@ def test_several_lights_are_checked(small_design: Design) -> None:
         replace(small_design, light=(OTHER, OWN), rules=replace(small_design.rules, gap_rule="pairs"))
     with pytest.raises(ValidationError, match=r"not available with `optics\.neighbours`"):
         replace(small_design, light=(OTHER, OWN), optics=Optics(neighbours=True))
+    with pytest.raises(ValidationError, match=r"not available with `optics\.oblique`"):
+        replace(small_design, light=(OTHER, OWN), optics=Optics(oblique=True))
+    with pytest.raises(ValidationError, match=r"`optics\.oblique` needs a `scene`"):
+        replace(small_design, scene=None, optics=Optics(oblique=True))
     with pytest.raises(ValidationError, match="phase"):
         Light(700.0, phase=())
 

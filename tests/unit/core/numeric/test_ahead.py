@@ -95,6 +95,24 @@ def test_a_worker_of_another_pool_runs_without_help(empty_table: Path) -> None:
     assert worker.exitcode == 0
 
 
+def test_a_first_compilation_beside_other_threads_leaves_the_help_to_the_next(
+    empty_table: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    started: list[ahead._Helpers] = []
+
+    def start(helpers: ahead._Helpers) -> None:
+        started.append(helpers)
+
+    monkeypatch.setattr(ahead._Helpers, "start", start)
+    with compiling_ahead(2, empty_table):
+        monkeypatch.setattr(ahead, "can_fork", lambda: False)
+        ahead.start_helpers()
+        assert not started
+        monkeypatch.setattr(ahead, "can_fork", lambda: True)
+        ahead.start_helpers()
+    assert len(started) == 1
+
+
 def test_an_error_ends_the_processes_at_once(empty_table: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ahead, "_compile_files", lambda files, numbers: time.sleep(60.0))
     began_s = time.monotonic()

@@ -17,8 +17,10 @@ from metafab.library.library import Library
 from metafab.library.neighbours.evaluation import block_corrections, solve_supercell
 from metafab.library.neighbours.line import LineShape, initial_model
 from metafab.library.neighbours.model import Neighbours, TrainedLine
-from metafab.optics import neighbour_field, written_field
+from metafab.library.use.oblique import ObliqueChange, powers
+from metafab.optics import Source, neighbour_field, written_field
 from metafab.optics.sources import neighbours
+from metafab.optics.sources.oblique import ObliqueField
 
 SPAN = (100.0, 250.0)
 
@@ -43,7 +45,7 @@ def _map(index: np.ndarray, tile_sites: int) -> PillarMap:
     )
 
 
-def _whole(field: neighbours.NeighbourField) -> ComplexArray:
+def _whole(field: Source) -> ComplexArray:
     whole = np.zeros((2, *field.lattice.shape), dtype=np.complex128)
     for tile in field.tiles():
         for polarisation in (0, 1):
@@ -51,6 +53,21 @@ def _whole(field: neighbours.NeighbourField) -> ComplexArray:
             n_y, n_x = amplitude.shape
             whole[polarisation, tile.row : tile.row + n_y, tile.column : tile.column + n_x] = amplitude
     return whole
+
+
+def test_light_at_an_angle_adds_its_change(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the first pass and on later ones, whose tiles are read from a file; tiles without pillars are left out."""
+    monkeypatch.setattr(neighbours, "_TILE_SITES", 32)
+    index = np.random.default_rng(1).integers(0, 41, (90, 70)).astype(np.uint16)
+    index[32:64, :32] = 0
+    coefficients = np.random.default_rng(2).normal(size=(41, 4, 2)) * (1.0 + 1j)
+    coefficients[0] = 0.0
+    straight, tangent = neighbour_field(_map(index, 90), library, workers=1), (0.3, -0.2)
+    change = np.einsum("k,nkp->pn", powers(tangent), coefficients)[:, index]
+    oblique = ObliqueField(straight, ObliqueChange(coefficients, 0.3, 0.0, 0.0), tangent)
+    for _ in range(2):
+        assert _whole(oblique) == pytest.approx(_whole(straight) + change, abs=1e-12)
+    assert next(oblique.tiles()).polarisations == 10
 
 
 def test_tiles_and_workers_do_not_change_the_field(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,11 +18,13 @@ from metafab.library.library import Library
 from metafab.library.neighbours.line import LineShape, initial_model
 from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.optics import NeighbourField
+from metafab.optics.sources.oblique import ObliqueField
 from metafab.spec import Design
 from metafab.spec.design import Optics
 from metafab.steps.job import Job
 from metafab.steps.library import library_path
 from metafab.steps.optics import mask_source, written_light
+from metafab.steps.optics.sources import light_over_field
 
 
 @pytest.fixture
@@ -78,3 +80,17 @@ def test_a_missing_mask_says_so_before_any_library_is_built(small_design: Design
     with pytest.raises(InputError, match=r"gone\.oas"):
         mask_source(job, tmp_path / "gone.oas")
     assert not library_path(job).exists()
+
+
+def test_light_depends_on_its_direction_on_request_alone(design: Design, tmp_path: Path) -> None:
+    """Without the key nothing is solved; with it once for all steps."""
+    path = _write_mask(design, tmp_path, 300)
+    job = Job(design, tmp_path / "run")
+    straight = written_light(job, path)
+    assert light_over_field(job, straight) is straight
+    asked = Job(replace(design, optics=Optics(oblique=True)), tmp_path / "run")
+    first, second = (light_over_field(asked, straight) for _ in range(2))
+    assert isinstance(first, ObliqueField)
+    assert isinstance(second, ObliqueField)
+    assert first.change is second.change
+    assert first.change.coefficients[1].all()
