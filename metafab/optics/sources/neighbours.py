@@ -126,7 +126,10 @@ def neighbour_field(pillars: PillarMap, library: Library, workers: int | None = 
 
 
 def size_windows(pillars: PillarMap, halo: int) -> Iterator[tuple[int, int, SizeIndexArray]]:
-    """Row and column of each tile with pillars, and its size indices with ``halo`` neighbours a side."""
+    """Row and column of each tile of n_y x n_x sites with pillars, and its size indices with ``halo`` neighbours a side.
+
+    The indices have the shape (n_y + 2 halo, n_x + 2 halo).
+    """
     n_y, n_x = pillars.lattice.shape
     for row, band in _bands(pillars, _TILE_SITES, halo):
         height, inner = min(_TILE_SITES, n_y - row), slice(halo, -halo or None)
