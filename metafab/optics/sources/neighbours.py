@@ -126,7 +126,7 @@ def neighbour_field(pillars: PillarMap, library: Library, workers: int | None = 
 
 
 def size_windows(pillars: PillarMap, halo: int) -> Iterator[tuple[int, int, SizeIndexArray]]:
-    """Row and column of each tile of n_y x n_x sites with pillars, and its size indices with ``halo`` neighbours a side.
+    """Row and column of each tile of n_y x n_x sites with pillars, and its size indices with ``halo`` more a side.
 
     The indices have the shape (n_y + 2 halo, n_x + 2 halo).
     """
