@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from metafab.library.neighbours import solve
 from metafab.library.neighbours.line import LineModel, LineShape, initial_model
 from metafab.library.neighbours.solve import (
     corrections_and_jacobian,
     line_corrections,
+    line_gains,
     scattered_corrections,
     uniform_field,
 )
@@ -95,3 +97,17 @@ def test_vector_holds_every_parameter() -> None:
     model = initial_model(SHAPES[0], SPAN, SPAN, 1)
     again = initial_model(SHAPES[0], SPAN, SPAN, 2).with_vector(model.vector)
     assert all(np.array_equal(getattr(again, name), getattr(model, name)) for name in ("site", "own", "side", "hop"))
+
+
+@pytest.mark.parametrize("sites", [3, 8])
+def test_the_elimination_of_long_lines_agrees_with_the_whole_inverse(
+    sites: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for shape in SHAPES:
+        model, terms = _lines(shape, sites)
+        inverse = line_corrections(model, terms), *line_gains(model, terms)
+        monkeypatch.setattr(solve, "_DENSE_SITES", 2)
+        monkeypatch.setattr(solve, "_half_line", None)
+        for whole, eliminated in zip(inverse, (line_corrections(model, terms), *line_gains(model, terms)), strict=True):
+            assert eliminated == pytest.approx(whole, rel=1e-11, abs=1e-14)
+        monkeypatch.undo()
