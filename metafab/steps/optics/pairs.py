@@ -29,9 +29,9 @@ from metafab.steps.optics.figures import PsfFigures
 from metafab.steps.optics.sources import ideal_source, light_over_field, lit_source, source_of, written_light
 
 if TYPE_CHECKING:
-    from metafab.layout import PillarMap
-    from metafab.optics import Imaging, Psf, Source
+    from metafab.optics import Imaging, NeighbourField, Psf, Source, WrittenField
     from metafab.optics.measures.landing import Places
+    from metafab.optics.sources.oblique import ObliqueField
 
 #: Factor on the target error of PSFs where no work is left out: for finer blocks of the pupil and more depths.
 UNSKIPPED_SHARE = 0.1
@@ -103,7 +103,8 @@ def point_spread(
     tangents = [tangent or (1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
     for depths, direction in zip(passes, tangents, strict=True):
         require_valid(imaging, depths, direction, None, numerics)  # before the mask is read
-    source, made_error = source_of(job, path, copy, printed, sizes)
+    on_axis = all(direction == (0.0, 0.0) for direction in tangents)
+    source, made_error = source_of(job, path, copy, printed, sizes, on_axis=on_axis)
     stacks = [
         optics.psf(source, imaging, depths, numerics, tangent=tangent, work=job.work)
         for depths, tangent in zip(passes, tangents, strict=True)
@@ -273,21 +274,20 @@ def _psf(job: Job) -> PsfFigures:
     return replace(
         figures,
         with_neighbours=isinstance(pillars, NeighbourField) or None,
-        oblique_error=seen.change.left
-        if isinstance(seen, ObliqueField)
-        else None
-        if pillars is None
-        else _oblique_error(job, pillars.pillars),
+        oblique_error=None if seen is None else _oblique_error(job, seen),
         oblique_change=seen.change.change if isinstance(seen, ObliqueField) else None,
     )
 
 
-def _oblique_error(job: Job, pillars: PillarMap) -> float | None:
-    """Change of the pillars' light from the corner of the field; None without a field."""
+def _oblique_error(job: Job, seen: WrittenField | NeighbourField | ObliqueField) -> float | None:
+    """Error of the pillars' light from the corner of the field; None without a field."""
     from metafab.library.use.oblique import oblique_field_error
     from metafab.optics.geometry.imaging import Imaging, field_corner
+    from metafab.optics.sources.oblique import ObliqueField
 
-    corner = field_corner(job.design, Imaging.of(job.design))
+    if isinstance(seen, ObliqueField):
+        return seen.change.left
+    corner, pillars = field_corner(job.design, Imaging.of(job.design)), seen.pillars
     if corner is None:
         return None
     return oblique_field_error(open_library(job), pillars.size_nm(), pillars.numbers(), corner, job.work.workers)

@@ -110,15 +110,26 @@ def lit_source(job: Job, source: Source) -> Source:
 
 
 def source_of(
-    job: Job, path: Path | None, copy: int, printed: Printed | None, sizes: Path | None = None
+    job: Job,
+    path: Path | None,
+    copy: int,
+    printed: Printed | None,
+    sizes: Path | None = None,
+    *,
+    on_axis: bool = False,
 ) -> tuple[Source, float]:
-    """Pillars and their light; relative error of the amplitudes of made pillars, NaN for others."""
+    """Pillars and their light; relative error of the amplitudes of made pillars, NaN for others.
+
+    ``on_axis`` says that only light along the axis is needed. That of made and of measured pillars is the same from all
+    directions.
+    """
     if path is None:
         return lit_source(job, ideal_source(job)), math.nan
     if sizes is not None:
         return lit_source(job, _measured_field(job, path, copy, sizes)), math.nan
     if printed is None:
-        return lit_source(job, light_over_field(job, written_light(job, path, copy))), math.nan
+        pillars = written_light(job, path, copy)
+        return lit_source(job, pillars if on_axis else light_over_field(job, pillars)), math.nan
     made = made_mask(job, path, printed, copy).field
     return lit_source(job, made.field), made.error
 
