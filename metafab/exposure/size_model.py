@@ -46,8 +46,8 @@ HIGH = np.array([100.0, 20.0, 60.0, 200.0, 500.0, 100.0, 50.0])
 _WIDEST_NM = 100.0
 #: Nodes of the blur for the energy of the other pillars; the error of the interpolation is below 1e-5.
 _BLUR_NODES = 7
-#: Halvings of the interval of an edge's displacement (of up to 200 nm): to 1e-8 nm, for difference quotients.
-_HALVINGS = 35
+#: Last step towards an edge (nm), small for difference quotients, and most steps: as many as halvings of 200 nm need.
+_LAST_STEP_NM, _MOST_STEPS = 1e-9, 38
 #: Reach of an edge outwards (nm).
 _REACH_NM = 100.0
 
@@ -129,22 +129,40 @@ class SizeModel:
     def first_ratio(self, values: FloatArray) -> float:
         """Base over clearing dose at which measured edges get the clearing energy on average; ``values``: (7,)."""
         moved = 0.5 * (self.measured_nm - self._drawn)
-        return float(1.0 / np.mean(self._dose[:, None] * self._energy(moved, values)))
+        energy = self._own(moved, self._parts(values)) + self._others(values)
+        return float(1.0 / np.mean(self._dose[:, None] * energy))
 
     def sizes_nm(self, values: FloatArray) -> FloatArray:
-        """Sizes for a process, ``values`` of shape (7,), by bisection of the edges: shape (n, 2)."""
-        low, high = -0.5 * self._drawn, np.full_like(self._drawn, _REACH_NM)
-        clearing = 1.0 / (values[0] * self._dose[:, None])
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            stays = self._energy(middle, values) > clearing
-            low, high = np.where(stays, middle, low), np.where(stays, high, middle)
-        printed = self._drawn + low + high
+        """Sizes for a process, ``values`` of shape (7,): shape (n, 2)."""
+        printed = self._drawn + 2.0 * self._moved_nm(values)
         if self._density is None:
             return np.asarray(printed + values[3])
         areas = [np.bincount(self._exposed, sizes.prod(axis=1)) for sizes in (printed, self._drawn)]
         excess = self._density * (areas[0] / areas[1])[self._exposed]
         return np.asarray(printed + values[3] + values[4] * excess[:, None])
+
+    def _moved_nm(self, values: FloatArray) -> FloatArray:
+        """Displacement of the printed edges outwards, shape (n, 2).
+
+        Newton's method; where it leaves the interval that holds the edge, the interval is halved.
+        """
+        others, parts = self._others(values), self._parts(values)
+        wanted = 1.0 / (values[0] * self._dose[:, None]) - others
+        low, high = -0.5 * self._drawn, np.full_like(self._drawn, _REACH_NM)
+        # Edges beyond the interval stand at its ends.
+        at_low, at_high = self._own(low, parts) <= wanted, self._own(high, parts) > wanted
+        low, high = np.where(at_high, high, low), np.where(at_low, low, high)
+        moved: FloatArray = np.clip(0.0, low, high)
+        for _ in range(_MOST_STEPS):
+            own, drop = self._own(moved, parts), self._drop_per_nm(moved, parts)
+            low, high = np.where(own > wanted, moved, low), np.where(own > wanted, high, moved)
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # No slope: the interval is halved.
+                newton = moved + (own - wanted) / drop
+            is_within = (newton >= low - _LAST_STEP_NM) & (newton <= high + _LAST_STEP_NM)
+            before, moved = moved, np.asarray(np.where(is_within, newton, 0.5 * (low + high)))
+            if np.max(np.abs(moved - before)) < _LAST_STEP_NM:
+                break
+        return moved
 
     def require_within_reach(self, values: FloatArray) -> None:
         """Refuse a process, ``values`` of shape (7,), whose blur out of focus is beyond the interpolation."""
@@ -157,18 +175,33 @@ class SizeModel:
         """Blur of each measurement, shape (n,)."""
         return blur_out_of_focus_nm(values[2], values[5], self._focus_um - values[6])
 
-    def _energy(self, moved_nm: FloatArray, values: FloatArray) -> FloatArray:
-        """Energy at edges moved outwards, per unit dose: shape (n, 2), like ``moved_nm``."""
+    def _others(self, values: FloatArray) -> FloatArray:
+        """Energy of the other pillars at the edges, per unit dose: shape (n, 2)."""
+        blur_nm = np.minimum(self._blurs_nm(values), self._widest_nm)
+        return np.asarray((self._interpolated(blur_nm) + values[1] * self._others_back) / (1.0 + values[1]))
+
+    def _parts(self, values: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+        """Range of each Gaussian, shape (n, 1) or (1, 1), and its energy in the middle of each side, shape (n, 2)."""
         eta, blur_nm = float(values[1]), np.minimum(self._blurs_nm(values), self._widest_nm)
-        others = (self._interpolated(blur_nm) + eta * self._others_back) / (1.0 + eta)
         ranges = [np.hypot(beta, blur_nm)[:, None] for beta in self._forward.range_nm]
         ranges += [np.full((1, 1), beta) for beta in self._back.range_nm]
         weights = np.concatenate([self._forward.weight, eta * self._back.weight]) / (1.0 + eta)
-        own = np.zeros_like(moved_nm)
-        for weight, beta in zip(weights, ranges, strict=True):
-            across = erf(self._drawn[:, ::-1] / (2.0 * beta))
-            own += 0.5 * weight * (erf((self._drawn + moved_nm) / beta) - erf(moved_nm / beta)) * across
-        return np.asarray(own + others)
+        middle = [erf(self._drawn[:, ::-1] / (2.0 * beta)) for beta in ranges]
+        return [(beta, 0.5 * weight * side) for weight, beta, side in zip(weights, ranges, middle, strict=True)]
+
+    def _own(self, moved_nm: FloatArray, parts: list[tuple[FloatArray, FloatArray]]) -> FloatArray:
+        """Energy of each pillar at its edges moved outwards, per unit dose: shape (n, 2), like ``moved_nm``."""
+        far = self._drawn + moved_nm
+        return np.asarray(sum(middle * (erf(far / beta) - erf(moved_nm / beta)) for beta, middle in parts))
+
+    def _drop_per_nm(self, moved_nm: FloatArray, parts: list[tuple[FloatArray, FloatArray]]) -> FloatArray:
+        """Decrease of :meth:`_own` by 1 nm outwards: shape (n, 2)."""
+        far, root = self._drawn + moved_nm, np.sqrt(0.25 * np.pi)
+        drops = (
+            middle * (np.exp(-((moved_nm / beta) ** 2)) - np.exp(-((far / beta) ** 2))) / (root * beta)
+            for beta, middle in parts
+        )
+        return np.asarray(sum(drops))
 
     def _interpolated(self, blur_nm: FloatArray) -> FloatArray:
         """Forward energy of the others at a blur for each pillar, shape (n,): Lagrange's polynomial in its square."""
