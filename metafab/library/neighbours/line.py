@@ -258,31 +258,38 @@ _WEAK = 0.05
 
 
 def grown(model: LineModel, shape: LineShape, seed: int) -> LineModel:
-    """Add modes to a chain, weakly coupled to those that it has, with random parameters.
+    """Add modes to a chain, weakly coupled to those that it has, with random parameters; raise its degree.
 
-    ``shape`` has the degree of the chain, and at least as many even and odd modes.
+    Of the modes that it has, coefficients of the terms beyond its degree are 0. ``shape`` has at least the degree of
+    the chain, and at least as many even and odd modes.
     """
     new = initial_model(shape, model.along_nm, model.across_nm, seed)
+    known_terms = shape.powers.sum(axis=1) <= model.shape.degree
     is_even = np.arange(shape.even) < model.shape.even
     is_known = np.concatenate([is_even, np.arange(shape.odd) < model.shape.odd])
 
-    def pairs(name: str, row: IntArray, column: IntArray) -> ComplexArray:
-        values = getattr(new, name).copy()
+    def pairs(values: ComplexArray, olds: ComplexArray, row: IntArray, column: IntArray) -> ComplexArray:
         values[..., is_known[row] != is_known[column]] *= _WEAK
-        values[..., is_known[row] & is_known[column]] = getattr(model, name)
-        return np.asarray(values)
+        values[..., is_known[row] & is_known[column]] = olds
+        return values
+
+    def of_degree(name: str) -> ComplexArray:
+        olds = getattr(model, name)
+        values = np.zeros((shape.terms, olds.shape[1]), dtype=np.complex128)
+        values[known_terms] = olds
+        return values
 
     def modes(name: str, known: NDArray[np.bool_]) -> ComplexArray:
         values = _WEAK * getattr(new, name)
-        values[:, known] = getattr(model, name)
+        values[:, known] = of_degree(name)
         return np.asarray(values)
 
     return replace(
         new,
-        site=pairs("site", *shape.pairs),
+        site=pairs(new.site.copy(), of_degree("site"), *shape.pairs),
         own=modes("own", is_even),
         side=modes("side", is_known),
         back_own=modes("back_own", is_even),
         back_side=modes("back_side", is_known),
-        hop=pairs("hop", *shape.hop_pairs[:2]),
+        hop=pairs(new.hop.copy(), model.hop, *shape.hop_pairs[:2]),
     )

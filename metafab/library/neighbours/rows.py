@@ -10,7 +10,7 @@ stopped training continues and any number of workers gives the same rows.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -107,19 +107,26 @@ def is_steady(number: int) -> bool:
 
 def solve_rows(
     samplers: Sequence[RowSampler],
-    rows: int,
+    wanted: Sequence[Iterable[int]],
     record: Checkpoint,
     executor: Executor,
     progress: Progress,
 ) -> list[dict[int, tuple[complex, ...]]]:
-    """Solve the first ``rows`` rows of each sampler; rows in the checkpoint, which may hold more, are not solved again.
+    """Solve rows of each sampler; rows in the checkpoint, which may hold others, are not solved again.
+
+    Args:
+        samplers: choose the rows.
+        wanted: numbers of the rows, for each sampler.
+        record: the checkpoint.
+        executor: solves the rows.
+        progress: called with the number of solved rows.
 
     Returns:
         For each sampler, amplitudes by number of the row.
     """
-    total = rows * len(samplers)
-    known = {point.number for point in record.points}
-    missing = [number for number in range(total) if number not in known]
+    numbers = {number * len(samplers) + place for place, rows in enumerate(wanted) for number in rows}
+    total = len(numbers)
+    missing = sorted(numbers - {point.number for point in record.points})
     chunks = [tuple(missing[k : k + _CHUNK]) for k in range(0, len(missing), _CHUNK)]
     ahead = 1 if isinstance(executor, SerialExecutor) else _AHEAD
     done = 0
@@ -128,8 +135,8 @@ def solve_rows(
         done += len(points)
         progress("rows of unlike pillars", total - len(missing) + done, total)
     answers: list[dict[int, tuple[complex, ...]]] = [{} for _ in samplers]
-    wanted = (point for point in record.points if point.number < total)
-    for point in sorted(wanted, key=lambda point: point.number):
+    found = (point for point in record.points if point.number in numbers)
+    for point in sorted(found, key=lambda point: point.number):
         answers[point.number % len(samplers)][point.number // len(samplers)] = point.amplitudes
     return answers
 

@@ -29,6 +29,15 @@ def test_new_modes_change_the_light_little(old: LineShape) -> None:
     assert np.array_equal(more.hop_matrix[np.ix_(known, known)], model.hop_matrix)
 
 
+def test_a_higher_degree_leaves_the_light_unchanged() -> None:
+    model = initial_model(LineShape(2, 1, 2), SPAN, SPAN, 1)
+    raised = grown(model, LineShape(2, 1, 4), 2)
+    size_nm = np.random.default_rng(1).uniform(*SPAN, (5, 7, 2))
+    light = [scattered_corrections(each, each.polynomials(size_nm)) for each in (model, raised)]
+    assert raised.site.shape == (15, 4)
+    assert np.abs(light[1] - light[0]).max() < 1e-12
+
+
 @pytest.mark.parametrize("modes", [(3, 3), (4, 2), (2, 4), (1, 0), (2, 0), (1, 1)])
 def test_paired_modes_have_the_same_light(modes: tuple[int, int]) -> None:
     """Their hop is 1 on the diagonal and couples pairs; sources and taps follow."""

@@ -73,12 +73,14 @@ def test_training_restarts_and_is_stored(asked: Library, tmp_path: Path, monkeyp
         training.train(asked, checkpoint=tmp_path / "rows")
     steps: list[str] = []
     model = training.train(asked, checkpoint=tmp_path / "rows", progress=lambda step, done, total: steps.append(step))
-    # 2 chains x 60 rows, one chunk of two rows lost by the stop, and the rows solved again at finer truncation.
-    assert 120 + 6 <= len(calls) - 1 <= 120 + 6 + 2
-    assert set(steps) == {"rows of unlike pillars", "fit of the chains"}
+    # 2 chains x (60 rows and 5 chosen ones), one chunk of two rows lost by the stop, and the rows solved again at finer
+    # truncation.
+    assert 130 + 6 <= len(calls) - 1 <= 130 + 6 + 2
+    fits = {"first fits of the chains", "last fits of the chains", "fit to all rows"}
+    assert set(steps) == {"rows of unlike pillars", *fits}
     assert model.shares_directions
     statistics = model.along[0].statistics
-    assert (statistics.rows, statistics.held_out) == (50, 10)
+    assert (statistics.rows, statistics.held_out) == (55, 10)
     assert statistics.error > 0.0
     assert statistics.solver_error > 0.0
 
@@ -104,8 +106,8 @@ def test_the_best_start_is_fitted_to_all_rows(
     monkeypatch.setattr(training, "STARTS", 2)
     monkeypatch.setattr(training, "fit", recorded)
     lines = training.train(asked, checkpoint=solved_rows).lines
-    # Three stages for each of two starts of two chains, and the last fit of each chain.
-    assert len(fits) == 3 * 4 + 2
+    # Three stages for each of two starts of two chains, the last fit of each chain, and that to all rows.
+    assert len(fits) == 3 * 4 + 2 + 2
     for number, line in enumerate(lines):
         begun, sets, limits, end = fits[12 + number]
         starts = fits[6 * number : 6 * number + 3], fits[6 * number + 3 : 6 * number + 6]
@@ -114,8 +116,11 @@ def test_the_best_start_is_fitted_to_all_rows(
             assert [(each[0].shape.even, each[0].shape.odd) for each in start] == [(1, 0), (1, 0), (2, 1)]
         first, second = (loss(start[-1][-1], sets, limits) for start in starts)
         assert first != second
-        assert begun is starts[int(second < first)][-1][-1]
-        assert line.model is end
+        assert np.array_equal(begun.vector, starts[int(second < first)][-1][-1].vector)
+        refitted = fits[14 + number]
+        assert refitted[0] is end
+        assert line.model is refitted[-1]
+        assert sum(len(fitted.size_nm) for fitted in refitted[1]) == 55
         # The strongest order of each row with steady phases counts most.
         steady = [fitted for fitted in sets if np.ptp(fitted.weight) > fitted.weight.min()]
         assert sum(len(fitted.size_nm) for fitted in steady) == 25
@@ -125,7 +130,7 @@ def test_the_best_start_is_fitted_to_all_rows(
 
 @pytest.mark.usefixtures("coarse")
 def test_more_modes_come_in_a_stage_of_their_own(trained: Library, asked: Library, solved_rows: Path) -> None:
-    cell = replace(asked.unit_cell, neighbours=Training(60))
+    cell = replace(asked.unit_cell, neighbours=Training(60, more_modes=1))
     lines = training.train(replace(asked, unit_cell=cell), checkpoint=solved_rows).lines
     for line, fewer in zip(lines, require_neighbours(trained).lines, strict=True):
         assert line.model.shape == LineShape(3, 2, 1)
