@@ -138,6 +138,19 @@ def test_more_modes_come_in_a_stage_of_their_own(trained: Library, asked: Librar
 
 
 @pytest.mark.usefixtures("coarse")
+def test_rows_are_chosen_by_their_gain(trained: Library) -> None:
+    """Numbers beyond the solved rows: those of random sizes whose field moves most with errors of the matrices."""
+    sampler, model = training._samplers(trained)[0], require_neighbours(trained).along[0].model
+    chosen = training._Plan(sampler, dict.fromkeys(range(60), ()), [], [], 0).unsure(model)
+    random = [number for number in range(60, 300) if number % 2 == 0]
+    size_nm = np.stack([sampler.pillars(number) for number in random])
+    t = sampler.t[[np.flatnonzero(np.all(sampler.size_nm == each, axis=1))[0] for each in size_nm.reshape(-1, 2)], 0]
+    gain = RowDoubts.of(model, size_nm, t.reshape(-1, 3), np.zeros((len(random), 3))).gain
+    assert len(chosen) == 5
+    assert set(chosen) == {random[k] for k in np.argsort(gain)[-5:]}
+
+
+@pytest.mark.usefixtures("coarse")
 def test_workers_fit_the_same_chains(trained: Library, asked: Library, solved_rows: Path) -> None:
     with ThreadPoolExecutor(2) as executor:
         model = training.train(asked, executor=executor, checkpoint=solved_rows)
