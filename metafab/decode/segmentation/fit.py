@@ -36,7 +36,7 @@ _LEAST_MODEL_ERROR = 1e-3
 _FOREIGN, _FOREIGN_SHARE = 3.0, 0.06
 
 #: Distance from an outline beyond which light that does not fit is not that of the other side, frame pixels.
-_OUTLINE_LIGHT_PX = 20
+OUTLINE_LIGHT_PX = 20
 #: Side of the window of the misfit that surfaces are found by, frame pixels, and its least value: less is chance.
 _SURFACE_WINDOW_PX, _LEAST_MISFIT = 15, 0.2
 #: Difference of two depths of a pixel, in its standard errors, above which they are not the same.
@@ -281,7 +281,7 @@ def away_from_outlines(label: NDArray[np.int32], step: int) -> NDArray[np.bool_]
     Returns:
         Shape (n_y, n_x).
     """
-    return np.asarray((label > 0) & (across_outlines(label)[1] * step > _OUTLINE_LIGHT_PX))
+    return np.asarray((label > 0) & (across_outlines(label)[1] * step > OUTLINE_LIGHT_PX))
 
 
 def across_outlines(

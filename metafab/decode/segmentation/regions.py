@@ -18,6 +18,7 @@ from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
 from metafab.decode.matching.filters import CrossFilters
 from metafab.decode.segmentation.fit import (
+    OUTLINE_LIGHT_PX,
     Misfit,
     across_outlines,
     curved_surface,
@@ -200,8 +201,9 @@ def find_regions(
     unexplained = none if optics is None else foreign_light(regions, own, step) & ~prepared.spoiled
     if optics is not None and unexplained.any():
         vergence = regions.vergence_per_m(label)
-        searched = not regions.continuous
-        found = small_objects(prepared, optics, vergence, unexplained, misfit_here) if searched else []
+        # The blur of bars and plain objects is no object of its own.
+        searched = unexplained & (distance(regions.of_outline[label]) * step > OUTLINE_LIGHT_PX)
+        found = [] if regions.continuous else small_objects(prepared, optics, vergence, searched, misfit_here)
         misfit_here = misfit_here.copy()
         for one in found:
             misfit_here[one.blob] = np.minimum(misfit_here[one.blob], one.misfit)

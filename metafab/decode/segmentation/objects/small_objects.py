@@ -54,6 +54,9 @@ _MOVES = np.array(
 _SWEEPS, _LEAST_HALF = 5, 0.6
 #: Extent of a blob beyond its object on each side: blur and the misfit's window, downsampled pixels.
 _HALO = 4.0
+#: Distance beyond its blob that a fitted rectangle may reach, half the misfit's window, downsampled pixels: the blob of
+#: an object in light like the surface's is smaller than the object.
+_BEYOND = 2.5
 #: Evidence over that of no object, and over that of light at the surface's own depth, that an object needs.
 _LEAST_EVIDENCE, _LEAST_MARGIN = 60.0, 20.0
 #: Largest mean energy, over that of noise, that is left in a blob without its object: true objects left 0.8 to 1.8,
@@ -193,7 +196,7 @@ class _Search:
         if fitted is None or not fitted.relative_error < LARGEST_ERROR or fitted.vergence_per_m > largest:
             return None
         vergence, rectangle, light = fitted.vergence_per_m, fitted.rectangle + _ORIGIN, np.ones(2)
-        if not ascent.is_allowed(rectangle):
+        if not ascent.is_allowed(rectangle, _BEYOND):
             return None
         for _ in range(_LIGHT_ROUNDS):
             light = evidence_of.light(vergence, rectangle, light)
@@ -266,7 +269,10 @@ class _Ascent:
         _, rectangle, vergence = max(beside, key=lambda one: one[0])
         return vergence, rectangle
 
-    def is_allowed(self, rectangle: Rectangle) -> bool:
-        """Whether a rectangle lies within the blob and is no smaller than the least one."""
+    def is_allowed(self, rectangle: Rectangle, beyond: float = 0.0) -> bool:
+        """Whether a rectangle lies within the blob, or as far beyond it, and is no smaller than the least one."""
         places = zip(rectangle[:2].tolist(), rectangle[2:].tolist(), *self.limits.tolist(), strict=True)
-        return all(half >= _LEAST_HALF and low <= mid - half and mid + half <= high for mid, half, low, high in places)
+        return all(
+            half >= _LEAST_HALF and low - beyond <= mid - half and mid + half <= high + beyond
+            for mid, half, low, high in places
+        )

@@ -60,3 +60,14 @@ def test_light_from_beyond_the_picture_is_no_object() -> None:
     image, frame = decoded(thing, columns=320, seed=9)
     assert abs(np.nanmedian(errors_of(image, frame, 2))) < 0.02
     assert len(image.segments) == 2
+
+
+def test_an_object_whose_blob_is_smaller_than_it_is_found() -> None:
+    """Of a faint texture, the light at its sides fits the wall: the fitted rectangle reaches beyond its blob."""
+    thing = SceneObject(depth_m=0.0028, size=(0.045, 0.045), texture_contrast=0.1)
+    image, frame = decoded(thing, seed=7)
+    errors, wall = errors_of(image, frame, 2), errors_of(image, frame, 1)
+    assert np.isfinite(errors).mean() > 0.5
+    # Measured in three of eight draws, which had no depth: 0.3, 1.0 and -0.4 %, 1.1 to 1.6 % stated.
+    assert abs(np.nanmedian(errors)) < 0.03
+    assert abs(np.nanmedian(wall)) < 0.004
