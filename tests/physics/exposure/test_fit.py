@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.exposure import ExposedLens, ExposureNumerics, expose_lenses
 from metafab.exposure.fit import fit_process
@@ -24,8 +28,26 @@ LOADING_NM, LOADING_UM = 15.0, 6.0
 
 @pytest.fixture(scope="module")
 def small_lens() -> PillarMap:
+    return lens_of_tests()
+
+
+@cache
+def lens_of_tests() -> PillarMap:
     rng = np.random.default_rng(3)
     return pattern(2.0 * rng.integers(50, 126, (100, 2)), disc(160, 100))
+
+
+@cache
+def printed_less_drawn_nm(dose: float, blur_nm: float) -> FloatArray:
+    """Of the lens of these tests, shape (2, n_y, n_x): most of them expose it alike."""
+    (found,) = expose_lenses(
+        (ExposedLens(lens_of_tests(), dose=dose),),
+        BEAM.with_backscatter(ETA).blurred(blur_nm),
+        base_over_clearing_dose=RATIO,
+        numerics=ExposureNumerics(keep_sizes=True),
+    )
+    assert found.printed_less_drawn_nm is not None
+    return found.printed_less_drawn_nm.astype(float)
 
 
 def beam(eta: float | None = None, blur_nm: float = 5.0, **keys: float) -> ExposureProcess:
@@ -40,19 +62,13 @@ def measured(
     rng = np.random.default_rng(seed)
     index = lens.to_array()
     rows, columns = np.nonzero(index)
-    blur_nm = np.hypot(BLUR_NM, CONVERGENCE_MRAD * (focus_um - BEST_FOCUS_UM) / np.sqrt(2.0)) if focus_um else BLUR_NM
+    widened_nm = math.hypot(BLUR_NM, CONVERGENCE_MRAD * (focus_um - BEST_FOCUS_UM) / math.sqrt(2.0))
+    blur_nm = widened_nm if focus_um else BLUR_NM
     places, sizes = [], []
     for dose in doses:
-        (found,) = expose_lenses(
-            (ExposedLens(lens, dose=dose),),
-            BEAM.with_backscatter(ETA).blurred(blur_nm),
-            base_over_clearing_dose=RATIO,
-            numerics=ExposureNumerics(keep_sizes=True),
-        )
-        assert found.printed_less_drawn_nm is not None
         chosen = rng.choice(rows.size, count, replace=False)
         place = np.stack([rows[chosen], columns[chosen]], axis=1)
-        change = found.printed_less_drawn_nm[:, place[:, 0], place[:, 1]].T.astype(float)
+        change = printed_less_drawn_nm(dose, blur_nm)[:, place[:, 0], place[:, 1]].T
         size = lens.size_nm()[index[place[:, 0], place[:, 1]]] + change + BIAS_NM
         places.append(place)
         sizes.append(size + rng.normal(0.0, noise_nm, size.shape))

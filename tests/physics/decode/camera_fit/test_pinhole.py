@@ -55,17 +55,17 @@ def photograph(
         place = turn * (centre[0] + 1j * centre[1]) + complex(*shift_um)
         column, row = round((place.real - origin[0]) / PIXEL_UM), round((place.imag - origin[1]) / PIXEL_UM)
         rows, columns = np.arange(row - 24, row + 24), np.arange(column - 24, column + 24)
-        x, y = np.meshgrid(origin[0] + PIXEL_UM * columns, origin[1] + PIXEL_UM * rows)
-        away = ((x + 1j * y) - place) / turn
+        x, y = origin[0] + PIXEL_UM * columns - place.real, origin[1] + PIXEL_UM * rows - place.imag
         azimuth = np.arctan2(-py, -px) if polarisation else np.arctan2(py, px)
         vergence = 1.0 / depth_m + offsets_per_m[polarisation] - 1.0 / FOCUS_DEPTH_M
         defocus = math.pi / WAVELENGTH_UM * (RADIUS_UM * radius) ** 2 * vergence * 1e-6
         phase = np.ceil(ZONES * np.clip(radius, 1e-9, 1.0) ** 2) * azimuth + defocus
         inside = radius <= 1.0
         k = 2.0 * math.pi * RADIUS_UM / (WAVELENGTH_UM * predicted.sensor_distance_um)
-        path = np.outer(away.real.ravel(), px[inside]) + np.outer(away.imag.ravel(), py[inside])
-        field = np.exp(-1j * k * path) @ np.exp(1j * phase[inside])
-        spot = np.abs(field.reshape(48, 48)) ** 2
+        # The pupil as the turned and magnified sensor sees it.
+        seen = (px[inside] + 1j * py[inside]) / turn.conjugate()
+        along_x, along_y = (np.exp(-1j * k * np.outer(at, part)) for at, part in ((x, seen.real), (y, seen.imag)))
+        spot = np.abs((along_y * np.exp(1j * phase[inside])) @ along_x.T) ** 2
         frame[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += electrons * spot / spot.sum()
     noisy = np.random.default_rng(seed).poisson(frame).astype(float)
     return RawFrame(noisy, PIXEL_UM, origin, 0.0)
