@@ -76,7 +76,7 @@ _MOST_SURFACES = 24
 _MOST_SURFACE_PIXELS, _MOST_SURFACE_CELLS = 400_000, 4000
 #: Misfit from which a pixel is left out of its segment's depth: 12 samples of noise reach it in one of 10^3 windows.
 _LARGEST_MISFIT = 2.5
-#: Share of such pixels that changes no depth, and share of the interior that is kept at least.
+#: Share of such pixels that changes no depth, and share of the pixels that is kept at least.
 _FEW_OUTLIERS, _LEAST_KEPT = 0.01, 0.3
 #: Most rounds of leaving them out; a segment's depth settles after two.
 ROBUST_ROUNDS = 3
@@ -131,6 +131,15 @@ def near_texture(prepared: PreparedFrame) -> NDArray[np.bool_]:
         texture = texture & (distance(objects > 0) > prepared.outline_reach)
     textured = textured_components(prepared.lit, texture, reach) & (objects == 0)
     return np.asarray((distance(textured) <= prepared.window // 2) & ~prepared.plain)
+
+
+def unspoiled(prepared: PreparedFrame, pixels: PixelDepth) -> PixelDepth:
+    """Pixel depths without those about saturated or invalid pixels, which err by more than their noise.
+
+    All of them if few others are left.
+    """
+    whole = pixels.claimed & ~prepared.spoiled
+    return replace(pixels, claimed=whole) if whole.sum() > _LEAST_KEPT * pixels.claimed.sum() else pixels
 
 
 def find_regions(
@@ -334,7 +343,7 @@ def _find_regions(
         none = np.zeros(volume.shape, dtype=np.int32)
         return Regions(0, (), none, none, none)
     regions = _of_layers_or_planes(segmentation, coarse, refined=refined)
-    inside = pixels.claimed & (regions.interior > 0)
+    inside = unspoiled(prepared, pixels).claimed & (regions.interior > 0)
     if not (refined and inside.any()):
         return regions
     planes = curved_and_planes(regions, pixels, segmentation.separation_per_m)
@@ -362,8 +371,9 @@ def _of_layers_or_planes(segmentation: _Segmentation, coarse: list[Plane], *, re
             regions = segmentation.of_planes(planes)
     if not refined:
         return regions
-    finer = replace(segmentation, separation_per_m=noise_separation_per_m(volume, pixels))
-    layers = finer.layers
+    clean = unspoiled(prepared, pixels)
+    finer = replace(segmentation, separation_per_m=noise_separation_per_m(volume, clean))
+    layers = [Plane(vergence) for vergence in depth_layers(clean, finer.separation_per_m).tolist()]
     if len(layers) <= len(coarse):
         return regions
     of_noise = finer.of_layers(layers)
@@ -371,7 +381,7 @@ def _of_layers_or_planes(segmentation: _Segmentation, coarse: list[Plane], *, re
     if len(needed) < len(layers):
         of_noise = finer.of_layers(needed)
     # Next to outlines, where depths mix, more layers always fit better.
-    inside = pixels.claimed & (regions.interior > 0)
+    inside = clean.claimed & (regions.interior > 0)
     # Outliers leave a segment's depth only later: finer layers may move, but a slope must not pass for their steps.
     moved, tilted = plane_misfit(of_noise, pixels, inside, _MOVED), plane_misfit(regions, pixels, inside, _TILTED)
     return of_noise if moved < _CLEARLY_BETTER * tilted else regions

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metafab.camera import capture, draws
+from metafab.camera import RawFrame, capture, draws
 from metafab.core.parallel.progress import silent
 from metafab.decode import Decoder, decode
 from metafab.decode.evaluation import overlap
 from metafab.decode.segmentation.planes import Cells, Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.regions import measured_depth, without_bright_light
+from metafab.decode.segmentation.regions import find_regions, measured_depth, textured_pixel_depth, without_bright_light
 from metafab.decode.segmentation.segments import Regions, interior
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
@@ -28,13 +28,36 @@ def piece(depth_m: float, row: float) -> SceneObject:
     return SceneObject(depth_m=depth_m, centre=(0.0, row), size=(0.2, 0.13))
 
 
-def test_touching_planes_that_differ_by_three_per_cent_are_two(wide_psf: Psf) -> None:
-    """A share of 1/24 of the range, 8 % of the depth here, merged them: each was off by 1.5 %."""
+def touching_planes(psf: Psf) -> RawFrame:
     scene = Scene(
         objects=(piece(0.0029, -0.065), piece(0.00299, 0.065)), photons_per_pixel=2e4, field_px=(240, 150), seed=2
     )
-    image = decode(capture(scene, wide_psf), wide_psf)
+    return capture(scene, psf)
+
+
+def test_touching_planes_that_differ_by_three_per_cent_are_two(wide_psf: Psf) -> None:
+    """A share of 1/24 of the range, 8 % of the depth here, merged them: each was off by 1.5 %."""
+    image = decode(touching_planes(wide_psf), wide_psf)
     assert image.figures.worst_object_error < 5e-3
+
+
+def test_depths_about_saturated_pixels_make_no_layer_of_their_own(wide_psf: Psf) -> None:
+    """A strip of wall between highlights, 1.8 % off by their light, became a segment of its own."""
+    frame = touching_planes(wide_psf)
+    decoder = Decoder.of(wide_psf, frame.frame.shape, frame.origin_um, frame.x_window)
+    assert decoder is not None
+    counts = []
+    for first_spoiled in (240, 100, 0):
+        prepared = decoder.prepare(frame)
+        assert isinstance(prepared, PreparedFrame)
+        step = prepared.downsampling.step
+        spoiled = np.zeros(prepared.downsampling.shape, dtype=bool)
+        spoiled[-(-first_spoiled // step) :] = True
+        vars(prepared)["spoiled"] = spoiled
+        volume = decoder.match(prepared)
+        counts.append(len(find_regions(prepared, volume, textured_pixel_depth(prepared, volume)).depths))
+    # Where nearly all pixels are spoiled, they are all there is.
+    assert counts == [2, 1, 2]
 
 
 def test_stairs_are_no_slope(wide_psf: Psf) -> None:
