@@ -4,10 +4,10 @@
 - ``filters``         matched filters of each candidate depth, in a low-rank basis: spectra -> CostVolume
 - ``filter_basis``    that basis: a few dozen kernels
 - ``space_variance``  correction of the filters for the pair's change over the field
-- ``bias``            correction of the filters for the bias of the agreement's maximum
+- ``bias``            correction of the filters for the bias of the correlation's maximum
 - ``mixing``          products of the filtered twins, mixed block by block from the basis
-- ``cost_volume``     CostVolume: products of the twins over place and candidate depth, their correlation and agreement
+- ``cost_volume``     CostVolume: products of the twins over place and candidate depth, and their correlation
 - ``pooling``         means over windows, sums over labels
 - ``semi_global``     levels of all pixels of least cost, changes from pixel to pixel included
-- ``depth``           CostVolume -> PixelDepth: peak of the agreement, with its standard error
+- ``depth``           CostVolume -> PixelDepth: parabolic peak of the correlation, with its standard error
 """

@@ -1,6 +1,6 @@
-"""Correction of the matched filters for the bias of the agreement's maximum.
+"""Correction of the matched filters for the bias of the correlation's maximum.
 
-The expected agreement of the filtered twins of a texture follows from the pair and the filters alone. Its maximum
+The expected correlation of the filtered twins of a texture follows from the pair and the filters alone. Its maximum
 lies beside the true depth, because filters are mixtures of a few basis images, are cut off, follow the pair's change
 over its own width to first order only, and because the maximum is interpolated between candidates: by 0.1 to 0.2 % of
 the depth for the paper's lens, in a pattern over the field that no texture averages out. Candidates take the filters of
@@ -18,7 +18,6 @@ from scipy.interpolate import make_interp_spline
 
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
-from metafab.decode.matching.cost_volume import agreement
 from metafab.decode.matching.depth import spline_peaks
 
 #: Largest bias that is corrected, steps from candidate to candidate; a larger one is another maximum.
@@ -47,7 +46,7 @@ def unbiased_places(
     transfer: NDArray[np.complex64],
     gradient: NDArray[np.float32] | None,
     offsets: tuple[FloatArray, FloatArray],
-    texture: FloatArray,
+    spectra: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
     """Depths whose filters put the expected maxima on the candidates: shape (n_field, n_candidates), in their steps.
 
@@ -59,18 +58,19 @@ def unbiased_places(
         gradient: shape (2, n_field, n_field), weights of the field points in the pair's slope over (x, y), per pixel;
             None to leave it out.
         offsets: (x, y) of the window's pixels from its origin, pixels, shapes (n_x,) and (n_y, 1).
-        texture: power spectrum of the texture, shape (n_ky, n_kx).
+        spectra: power of texture and of noise, shape (n_ky, n_kx).
     """
     count, size = filters.shape[1], (filters.shape[3], 2 * (filters.shape[4] - 1))
     halves = np.full(filters.shape[4], 2.0)
     halves[[0, -1]] = 1.0
-    power = (texture * halves).astype(np.float32)
+    texture, noise = ((one * halves).astype(np.float32) for one in spectra)
 
     def of_field(number: int) -> FloatArray:
         mixed, pair = filters[:, :, number], transfer[:, :, number]
+        from_noise = (_squared(mixed) * noise).sum(axis=(-2, -1), dtype=np.float64)
         is_even = gradient is None or not gradient.any()
         changes = () if gradient is None or is_even else np.tensordot(gradient[:, number], transfer, axes=(1, 2))
-        products = np.empty((3, pair.shape[1], count))
+        correlation = np.empty((pair.shape[1], count))
         for true in range(pair.shape[1]):
             seen = mixed * pair[:, true, None]
             if not is_even:
@@ -81,29 +81,29 @@ def unbiased_places(
                     moved += offset * scipy.fft.irfft2(mixed[:, near] * change[:, true, None], size)
                 seen[:, near] -= scipy.fft.rfft2(moved)
             a, b = seen
-            common = a.real * b.real + a.imag * b.imag
-            for one, spectrum in zip(products, (common, _squared(a), _squared(b)), strict=True):
-                one[true] = (spectrum * power).sum(axis=(-2, -1), dtype=np.float64)
-        return _moved(agreement(products))
+            product = ((a.real * b.real + a.imag * b.imag) * texture).sum(axis=(-2, -1), dtype=np.float64)
+            power = (_squared(seen) * texture).sum(axis=(-2, -1), dtype=np.float64) + from_noise
+            correlation[true] = product / np.sqrt(power[0] * power[1])
+        return _moved(correlation)
 
     with kept_threads() as pool:
         return np.stack(list(pool.map(of_field, range(filters.shape[2]))))
 
 
-def _moved(expected: FloatArray) -> FloatArray:
-    """Places of the filters, shape (n,), that put the maxima of rows of the expected agreement on their places.
+def _moved(correlation: FloatArray) -> FloatArray:
+    """Places of the filters, shape (n,), that put the maxima of rows of the correlation on their places.
 
-    ``expected``: shape (2 n - 1, n), values at the n candidates for a texture at every half step.
+    ``correlation``: shape (2 n - 1, n), values at the n candidates for a texture at every half step.
     """
-    count = expected.shape[1]
-    own, true = np.arange(count, dtype=np.float64), 0.5 * np.arange(len(expected))
+    count = correlation.shape[1]
+    own, true = np.arange(count, dtype=np.float64), 0.5 * np.arange(len(correlation))
     slope = make_interp_spline(own, np.eye(count), k=min(5, count - 1)).derivative()
-    peaks = spline_peaks(expected)
+    peaks = spline_peaks(correlation)
     bias = peaks.place - true
     # Near the ends of the range the maximum may be missing.
     known = peaks.inside & (np.abs(bias) <= _LARGEST) & (true >= 1.0) & (true <= count - 2.0)
     # Change of each maximum by that of each filter's place.
-    by_place = (slope(true) * (expected @ slope(own).T) / np.maximum(peaks.curvature, 1e-12)[:, None])[known]
+    by_place = (slope(true) * (correlation @ slope(own).T) / np.maximum(peaks.curvature, 1e-12)[:, None])[known]
     system = by_place.T @ by_place + _RIDGE * np.eye(count)
     return np.asarray(own - np.linalg.solve(system, by_place.T @ bias[known]))
 

@@ -83,26 +83,6 @@ def correlation(products: np.ndarray) -> np.ndarray:
     return np.asarray(products[0] / np.maximum(norm, 1e-15))
 
 
-def agreement(products: FloatArray) -> FloatArray:
-    """Log-likelihood of the candidates, in the unit and about the height of the correlation's maximum.
-
-    It is minus the twins' residual at their own contrast (total least squares), whose noise is the same at all
-    candidates. The correlation divides it by the candidate's power, so that noise draws its maximum to candidates at
-    which the texture is strong: by 2 % of the depth at the edge of a field stop.
-
-    Sums or means of a b, a^2 and b^2 over a last axis of candidates, shape (3, ..., n), give the shape (..., n).
-    """
-    product, square_x, square_y = np.maximum(np.asarray(products, dtype=np.float64), 0.0)
-    rho, both = correlation(products), square_x + square_y
-    best = rho.argmax(axis=-1)[..., None]
-    residual = 0.5 * (both - np.hypot(square_x - square_y, 2.0 * product))
-    # (1 - rho) of the best candidate over its residual; for small residuals of equal twins, 1 over their power.
-    power = np.sqrt(square_x * square_y)
-    scale = both / np.maximum((power + product) * power, 1e-30)
-    height, least, scale = (np.take_along_axis(values, best, axis=-1) for values in (rho, residual, scale))
-    return np.asarray(height - scale * (residual - least))
-
-
 @lru_cache(maxsize=4)
 def _fine_weights(nodes: tuple[float, ...]) -> NDArray[np.float32]:
     """Spline weights of the candidates at depths between them: shape (n, n_steps)."""

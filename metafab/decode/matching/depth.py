@@ -1,4 +1,4 @@
-"""Depth of each pixel from the agreement of the twins in windows around it, with its standard error."""
+"""Depth of each pixel from the correlation of the twins in windows around it, with its standard error."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def pixel_depth(volume: CostVolume, window: int, noise_variance: FloatArray) -> 
 
 
 def window_depth(volume: CostVolume, window: int) -> WindowDepth:
-    """Depth at the peak of the agreement in the window about each pixel, claimed inside the range.
+    """Depth at the peak of the correlation in the window about each pixel, claimed inside the range.
 
     The volume has at least three candidates; ``window`` is the side of the window in its pixels, odd.
     """
@@ -221,10 +221,9 @@ def best_candidates(
         window: side of the window, odd.
 
     Returns:
-        Number of the best candidate, shape (n_y, n_x); the agreement
-        (:func:`metafab.decode.matching.cost_volume.agreement`) at every half step from the candidate below to the one
-        above it (of the nearest candidate that has both neighbours), shape (5, n_y, n_x); the largest mean of a b,
-        shape (n_y, n_x).
+        Number of the best candidate, shape (n_y, n_x); the correlation at every half step from the candidate below to
+        the one above it (of the nearest candidate that has both neighbours), shape (5, n_y, n_x); the largest mean
+        of a b, shape (n_y, n_x).
     """
     shape = products.shape[2:]
     best, around = np.zeros(shape, dtype=np.intp), np.zeros((5, *shape), dtype=np.float32)
@@ -279,33 +278,23 @@ def _best_candidates(
     largest_product: NDArray[np.float32],
 ) -> None:
     _, count, _, n_x = products.shape
-    zero = np.float32(0.0)
     for i in range(first, stop):
         padded = np.empty(n_x + 2 * reach, dtype=np.float32)
         means = np.empty((3, n_x), dtype=np.float32)
-        residual = np.empty((count, n_x), dtype=np.float32)
-        height, scale = np.empty(n_x, dtype=np.float32), np.empty(n_x, dtype=np.float32)
+        rho = np.empty((count, n_x), dtype=np.float32)
         for v in range(count):
             for p in range(3):
                 _row_means(products[p, v], i, reach, padded, means[p])
             for j in range(n_x):
-                common, square_x, square_y = means[0, j], max(means[1, j], zero), max(means[2, j], zero)
-                power = max(np.sqrt(square_x) * np.sqrt(square_y), np.float32(_DARK))
-                rho = common / power
-                difference, twice = square_x - square_y, np.float32(2.0) * max(common, zero)
-                root = np.sqrt(difference * difference + twice * twice)
-                residual[v, j] = np.float32(0.5) * (square_x + square_y - root)
-                largest_product[i, j] = max(common, largest_product[i, j]) if v > 0 else common
-                if v == 0 or rho > height[j]:
-                    best[i, j], height[j] = v, rho
-                    scale[j] = (square_x + square_y) / max((power + max(common, zero)) * power, np.float32(_DARK))
+                norm = np.sqrt(max(means[1, j], np.float32(0.0))) * np.sqrt(max(means[2, j], np.float32(0.0)))
+                rho[v, j] = means[0, j] / max(norm, np.float32(_DARK))
+                largest_product[i, j] = max(means[0, j], largest_product[i, j]) if v > 0 else means[0, j]
+                if rho[v, j] > rho[best[i, j], j]:
+                    best[i, j] = v
         for j in range(n_x):
             inner = min(max(best[i, j], 1), count - 2)
-            top = height[j] + scale[j] * residual[best[i, j], j]
             for d in range(3):
-                around[2 * d, i, j] = top - scale[j] * residual[inner - 1 + d, j]
-            below, above = zero, zero
+                around[2 * d, i, j] = rho[inner - 1 + d, j]
             for v in range(count):
-                below += half_steps[inner - 1, v] * residual[v, j]
-                above += half_steps[inner, v] * residual[v, j]
-            around[1, i, j], around[3, i, j] = top - scale[j] * below, top - scale[j] * above
+                around[1, i, j] += half_steps[inner - 1, v] * rho[v, j]
+                around[3, i, j] += half_steps[inner, v] * rho[v, j]

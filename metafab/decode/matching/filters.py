@@ -211,7 +211,7 @@ def _unbiased(
     transfer: NDArray[np.complex64],
     gradient: NDArray[np.float32] | None,
 ) -> NDArray[np.float32]:
-    """Weights of the basis that put the maxima of the expected agreement at the true depths.
+    """Weights of the basis that put the maxima of the expected correlation at the true depths.
 
     ``transfer`` is the pair's at every half step between candidates; ``gradient`` is that of the field, None to leave
     the pair's change out.
@@ -221,8 +221,8 @@ def _unbiased(
     kernels = (scipy.fft.rfft2(basis.kernels) * weight).reshape(2, 1, basis.count, -1)
     mixed = (weights @ kernels).reshape(*weights.shape[:3], *transfer.shape[3:])
     texture = _TYPICAL.texture_spectrum(ky[:, None] ** 2 + kx[None, :] ** 2)
-    places = unbiased_places(mixed, transfer, gradient, window_offsets(transfer, basis.step), texture)
-    return unbiased(weights, places)
+    spectra = texture, np.full_like(texture, _TYPICAL.noise_variance)
+    return unbiased(weights, unbiased_places(mixed, transfer, gradient, window_offsets(transfer, basis.step), spectra))
 
 
 def coarsest_step(calibration: Calibration) -> int:

@@ -76,12 +76,7 @@ class Downsampling:
         Images have the shape (n, n_y, n_x), frame pixels.
         """
         count, rows, columns = images.shape
-        # The picture fades into its border's own level: where a field stop leaves the border dark, a step to the mean
-        # would be common to both images, and move depth by 1 % up to 48 px from the sides.
-        border = np.concatenate(
-            [images[:, [0, -1]].reshape(count, -1), images[:, :, [0, -1]].reshape(count, -1)], axis=1
-        )
-        level = border.mean(axis=1)[:, None, None]
+        level = images.mean(axis=(-2, -1), keepdims=True)
         padded = np.zeros((count, rows, self.size[1] * self.step), dtype=np.float32)
         inside = padded[:, :, :columns]
         np.subtract(images, level, out=inside)

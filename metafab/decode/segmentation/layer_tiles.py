@@ -39,9 +39,6 @@ _POOLED_PX = 4.0
 _LIGHT_PX = 21
 #: Distance over which light from beyond the window is mixed in, frame pixels.
 _BLUR_PX = 12
-#: Distance beyond the window up to which its dark pixels count, frame pixels. They move outlines of near objects: with
-#: 12, 18 and 24 px, near objects take 24, 28 and 31 % of the pixels within 3 px of their outlines.
-_MARGIN_PX = 18
 #: Distance from a tile's edge up to which its pixels do not count, frame pixels: light from beyond is mixed in. 9 px
 #: give the same errors, 18 px a tenth more.
 _GUARD_PX = 12
@@ -220,9 +217,7 @@ class FrameLayers:
         # Light from beyond the window is not modelled.
         beyond = prepared.images.sum(axis=0) > np.pad(prepared.floor_e, margin, mode="edge")
         beyond[prepared.downsampling.inner] = False
-        inside = np.zeros_like(beyond)
-        inside[prepared.downsampling.inner] = True
-        weight[:, (distance(beyond) * step <= _BLUR_PX) | (distance(inside) * step > _MARGIN_PX)] = 0.0
+        weight[:, distance(beyond) * step <= _BLUR_PX] = 0.0
         weight[:, *prepared.downsampling.inner][:, prepared.spoiled] = 0.0
         return weight
 

@@ -19,7 +19,7 @@ from scipy.ndimage import label as connected_components
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import box_about
 from metafab.core.numeric.interpolation import spline_weights
-from metafab.decode.matching.cost_volume import CostVolume, agreement
+from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import spline_peaks, standard_error
 
 #: Side of a cell, frame pixels.
@@ -139,7 +139,7 @@ class Cells:
         cell_label[row, column] = cell + 1
         sums = volume.label_sums(cell_label, number.size)
         middle_row, middle_column = (np.bincount(cell, axis, number.size) / pixels for axis in (row, column))
-        peak = spline_peaks(agreement(np.moveaxis(sums, 1, 0)))
+        peak = spline_peaks(correlation(np.moveaxis(sums, 1, 0)).astype(np.float64))
         vergence = volume.vergences_per_m[0] + volume.step_per_m * peak.place
         error = standard_error(peak.height, peak.curvature / volume.step_per_m**2, 1.0)
         error = np.where(peak.inside & (peak.height > 0.0), error / np.sqrt(pixels * volume.samples), np.inf)

@@ -15,7 +15,7 @@ from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import box_about, distance, nearest
-from metafab.decode.matching.cost_volume import CostVolume, agreement, correlation
+from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, parabolic_peak, spline_peaks, standard_error
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.outlines import ROUNDS, refined_outlines
@@ -264,7 +264,7 @@ def grown(segment: NDArray[np.int32], reach: float = np.inf) -> NDArray[np.int32
 
 
 def segment_depth(volume: CostVolume, sums: FloatArray, pixels: float, tilt: Plane | None = None) -> SegmentDepth:
-    """Measure a segment's depth at the peak of a spline through the agreement at all candidates.
+    """Measure a segment's depth at the peak of a spline through the correlation at all candidates.
 
     The error is infinite where the twins do not correlate, or best at an end of the candidates. ``sums`` are its
     products, shape (3, n_candidates), summed over its interior ``pixels`` along the plane ``tilt``, if there is one.
@@ -273,7 +273,7 @@ def segment_depth(volume: CostVolume, sums: FloatArray, pixels: float, tilt: Pla
     nodes = volume.vergences_per_m
     if not np.isfinite(rho).all() or rho.max() <= 0.0:
         return _segment(tilt, float(nodes[nodes.size // 2]), np.inf, 0.0, 0.0)
-    peak = spline_peaks(agreement(sums)[None])
+    peak = spline_peaks(rho[None])
     vergence, height = float(nodes[0]) + volume.step_per_m * float(peak.place[0]), float(peak.height[0])
     if not peak.inside[0]:  # still rising at the end of the calibrated range
         return _segment(tilt, vergence, np.inf, height, 0.0)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance
 from metafab.decode.confidence import LARGEST_ERROR, differs
-from metafab.decode.matching.cost_volume import CostVolume, agreement
+from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import spline_peaks
 from metafab.decode.segmentation.fit import TwinEnergies
 from metafab.decode.segmentation.planes import cell_side
@@ -133,7 +133,7 @@ def jackknife_error(volume: CostVolume, mask: NDArray[np.bool_], sums: FloatArra
     numbers, index = np.unique(row // side * mask.shape[1] + column // side, return_inverse=True)
     cell[row, column] = 1 + index
     without = sums - volume.label_sums(cell, numbers.size)
-    peak = spline_peaks(agreement(without.swapaxes(0, 1)))
+    peak = spline_peaks(correlation(without.swapaxes(0, 1)))
     if numbers.size < 2 or not peak.inside.all():
         return float("inf")
     vergence = volume.vergences_per_m[0] + volume.step_per_m * peak.place

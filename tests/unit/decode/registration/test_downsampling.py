@@ -43,16 +43,6 @@ def test_downsampling_keeps_slow_waves_and_nothing_faster(step: int) -> None:
         np.testing.assert_allclose(small[:, inner, inner], want[:, inner, inner], atol=0.05)
 
 
-def test_a_dark_border_stays_dark() -> None:
-    """Light that a field stop ends inside of the margin gets no step at its end: it would be common to both images."""
-    downsampling = Downsampling(2, (60, 80), 16)
-    images = np.zeros((2, 92, 112), dtype=np.float32)
-    images[:, 16:-16, 16:-16] = 1000.0
-    small = downsampling.images(downsampling.spectra(images))
-    assert np.abs(small[:, :3]).max() < 40.0
-    assert np.abs(small[:, :, :3]).max() < 40.0
-
-
 def test_a_downsampled_pixel_has_the_noise_it_says() -> None:
     downsampling = Downsampling(3, (240, 240), 12)
     images = np.random.default_rng(5).normal(size=(2, 264, 264)).astype(np.float32)
