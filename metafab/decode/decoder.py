@@ -19,6 +19,7 @@ from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages, TileSpectra
+from metafab.decode.images.light_outlines import outlines_at_edges
 from metafab.decode.images.unmixing import Unmixing
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
@@ -237,6 +238,8 @@ class Decoder:
         # Moved outlines leave the sharp images: deconvolved again at the new depths, they would be 0.3 dB worse.
         lit = lit_pixels(prepared, sharp)
         regions = moved_outlines(regions, sharp, step, lit)
+        if self.numerics.refined and self.numerics.modelled:
+            regions = outlines_at_edges(regions, prepared, sharp, self.layer_optics, step)
         maps = PixelMaps.of(prepared, pixels, regions, sharp, lit)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 

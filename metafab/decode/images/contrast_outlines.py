@@ -78,7 +78,7 @@ def moved_outlines(
     prior = np.clip(regions.right, _LEAST_DOUBT, 1.0 - _LEAST_DOUBT)
     right = 1.0 / (1.0 + (1.0 / prior - 1.0) * np.exp(-odds))
     moved = connected_moves(label, np.where(asked & (right < 0.5), across, 0))
-    has_light = _block_sums(np.broadcast_to(lit, (1, *lit.shape)).astype(np.float32), step, label.shape)[0] > 0.0
+    has_light = block_sums(np.broadcast_to(lit, (1, *lit.shape)).astype(np.float32), step, label.shape)[0] > 0.0
     moved = _with_cut_off(label, moved, has_light, (regions.interior == label) | ~asked)
     number = np.where(moved > 0, moved, label)
     kept = right * (1.0 - _DOUBT_LEFT * (1.0 - prior))
@@ -119,7 +119,7 @@ def _with_cut_off(
 
 def _log_ratio(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -> FloatArray:
     """Logarithm of I_x / I_y in the window about each downsampled pixel, NaN in the dark: shape ``shape``."""
-    light = window_means(_block_sums(np.ascontiguousarray(images), step, shape), max(1, _WINDOW_PX // step) | 1).astype(
+    light = window_means(block_sums(np.ascontiguousarray(images), step, shape), max(1, _WINDOW_PX // step) | 1).astype(
         np.float64
     )
     known = (light > 0.0).all(axis=0)
@@ -127,7 +127,7 @@ def _log_ratio(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -
 
 
 @compiled
-def _block_sums(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -> NDArray[np.float32]:
+def block_sums(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -> NDArray[np.float32]:
     """Sums of images (n, n_y, n_x) over the block of ``step`` pixels about each downsampled pixel: (n, *shape)."""
     n_images, n_y, n_x = images.shape
     sums = np.zeros((n_images, shape[0], shape[1]), dtype=np.float32)

@@ -92,25 +92,45 @@ class FrameModel:
         _, row, column = nearest(others > 0)
         pieces = [label == number for number in narrow]
         about = [distance(mask) * self.prepared.downsampling.step <= _ABOUT_PX for mask in pieces]
-        gain = self._gain(np.where(label > 0, others[row, column], 0).astype(np.int32), np.any(about, axis=0))
+        misfits = self._misfits(np.where(label > 0, others[row, column], 0).astype(np.int32), np.any(about, axis=0))
+        if misfits is None:
+            return []
+        gain = misfits[0] - misfits[1]
         return [
             number
             for number, mask, zone in zip(narrow, pieces, about, strict=True)
-            if gain is not None and np.median(gain[mask]) > 0.0 and gain[zone].sum() > 0.0
+            if np.median(gain[mask]) > 0.0 and gain[zone].sum() > 0.0
         ]
 
     def explained_moves(self, moved: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Moves of pixels to other segments by which the light about them fits better: shape (n_y, n_x).
 
-        ``moved``, shape (n_y, n_x), holds the other segments of the pixels that move, their own elsewhere. All moves
-        where the model does not apply.
+        ``moved`` is as for :meth:`gain_of_moves`. All moves where the model does not apply.
+        """
+        gain = self.gain_of_moves(moved)
+        return np.asarray((moved != self.regions.grown) & (True if gain is None else gain > 0.0))
+
+    def gain_of_moves(self, moved: NDArray[np.int32]) -> NDArray[np.float32] | None:
+        """Fall of the misfit of a pixel and the light about it if pixels move to other segments: shape (n_y, n_x).
+
+        In variances of the pixel: those of noise, or of the residuals after the moves where these are larger.
+
+        Args:
+            moved: shape (n_y, n_x), other segments of the pixels that move, their own elsewhere.
+
+        Returns:
+            None without moves, or where the model does not apply.
         """
         moves, step = np.asarray(moved != self.regions.grown), self.prepared.downsampling.step
         if not moves.any() or self._layers is None:
-            return moves
+            return None
         label = self._layers.label[self.prepared.downsampling.inner]
-        gain = self._gain(np.where((label > 0) & moves, moved, label), distance(moves) * step <= _ABOUT_PX)
-        return moves if gain is None else moves & (gaussian_filter(gain, _JUDGED_PX / step) > 0.0)
+        misfits = self._misfits(np.where((label > 0) & moves, moved, label), distance(moves) * step <= _ABOUT_PX)
+        if misfits is None:
+            return None
+        before, after = gaussian_filter(misfits, (0.0, _JUDGED_PX / step, _JUDGED_PX / step))
+        # A pixel has a value in each of both images.
+        return np.asarray((before - after) / np.maximum(np.float32(1.0), np.float32(0.5) * after))
 
     @cached_property
     def _layers(self) -> FrameLayers | None:
@@ -119,28 +139,28 @@ class FrameModel:
             return None
         return FrameLayers.of(self.prepared, self.regions, self.optics)
 
-    def _gain(self, label: NDArray[np.int32], near: NDArray[np.bool_]) -> NDArray[np.float32] | None:
-        """Misfit of the layers' pixels less that by other outlines, both of shape (n_y, n_x).
+    def _misfits(self, label: NDArray[np.int32], near: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+        """Misfits of the layers' pixels by the segments' outlines and by other ones: shape (2, n_y, n_x).
 
-        ``label`` is the number of each pixel's layer by the other outlines. Tiles without pixels ``near`` those,
-        shape (n_y, n_x), are 0. None without tiles, or if they take too much memory.
+        ``label``, shape (n_y, n_x), is the number of each pixel's layer by the other outlines. Tiles without pixels
+        ``near`` those, shape (n_y, n_x), are 0. None without tiles, or if they take too much memory.
         """
         layers = self._layers
         groups = [] if layers is None else layers.groups(near)
         if layers is None or not groups:
             return None
-        tiling, other = self.optics.tiling, np.pad(label, self.prepared.downsampling.margin)
+        tiling, both = self.optics.tiling, (layers.label, np.pad(label, self.prepared.downsampling.margin))
 
-        def misfit(group: TileGroup, numbers: NDArray[np.int32]) -> NDArray[np.float32]:
-            hard = group.hard(numbers, tiling).astype(np.float32)
-            return group.model.misfit(gaussian_filter(hard, (0.0, _HARD_OUTLINE, _HARD_OUTLINE)))
+        def of(group: TileGroup) -> list[NDArray[np.float32]]:
+            hard = (group.hard(one, tiling).astype(np.float32) for one in both)
+            return [group.model.misfit(gaussian_filter(one, (0.0, _HARD_OUTLINE, _HARD_OUTLINE))) for one in hard]
 
-        gain = np.zeros(near.shape, dtype=np.float32)
+        misfits = np.zeros((2, *near.shape), dtype=np.float32)
         with kept_threads() as pool:
-            changes = pool.map(lambda group: misfit(group, layers.label) - misfit(group, other), groups)
-            for group, change in zip(groups, changes, strict=True):
-                layers.write_cores(group, change, gain)
-        return gain
+            for group, found in zip(groups, pool.map(of, groups), strict=True):
+                for misfit, to in zip(found, misfits, strict=True):
+                    layers.write_cores(group, misfit, to)
+        return misfits
 
 
 def _without_specks(owner: NDArray[np.int32], label: NDArray[np.int32]) -> NDArray[np.int32]:

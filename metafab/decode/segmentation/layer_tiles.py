@@ -111,7 +111,8 @@ class FrameLayers:
     def groups(self, near: NDArray[np.bool_] | None = None) -> list[TileGroup]:
         """Tiles with outlines in their cores, in groups that are computed at once.
 
-        Only those with pixels ``near``, shape (n_y, n_x) without margin, if given. None if they take too much memory.
+        Only those with pixels ``near``, shape (n_y, n_x) without margin, if given. An empty list if they take too much
+        memory.
         """
         tiles, (n_y, n_x) = self._tiles(near), self.optics.tiling.size
         ends = np.cumsum([len(layers) for _, layers in tiles])
