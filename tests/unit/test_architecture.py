@@ -4,6 +4,7 @@ one door each, and rooms stay small enough to be read."""
 from __future__ import annotations
 
 import ast
+import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -149,6 +150,15 @@ def test_nobody_imports_a_private_name() -> None:
                     names = [alias.name for alias in node.names if alias.name != "__version__"]
                     private += [f"{path.relative_to(root)}: {name}" for name in names if name.startswith("_")]
     assert private == []
+
+
+def test_kernels_that_are_compiled_ahead_exist() -> None:
+    missing = []
+    for module, kernels in tomllib.loads((PACKAGE / "core/numeric/kernels.toml").read_text(encoding="utf-8")).items():
+        parsed = ast.parse(PACKAGE.parent.joinpath(*module.split(".")).with_suffix(".py").read_text(encoding="utf-8"))
+        defined = {node.name for node in parsed.body if isinstance(node, ast.FunctionDef)}
+        missing += [f"{module}.{name}" for name in kernels if name not in defined]
+    assert missing == []
 
 
 def test_every_public_function_is_documented_and_typed() -> None:
