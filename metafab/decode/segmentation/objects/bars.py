@@ -69,7 +69,7 @@ class Ridge:
 
     middle: FloatArray  #: Shape (2,), (row, column).
     along: FloatArray  #: Shape (2,), unit vector along it, (row, column).
-    length: float  #: Length.
+    length: float  #: Length, downsampled pixels.
     behind: int  #: Number of the surface's segment.
 
     @property
@@ -207,6 +207,8 @@ def _followed(ridge: Ridge, excess: FloatArray, behind: NDArray[np.int32], step:
     if not begun.any():
         return None
     run = number == np.bincount(begun[begun > 0]).argmax()
+    if run.sum() < 2:  # No line.
+        return None
     half = round(_HALF_RIDGE_PX / step)
     across = np.arange(-half, half + 1.0)
     weight = np.maximum(map_coordinates(excess, ridge.places(along[run], across), order=1, cval=0.0), 0.0)

@@ -43,3 +43,10 @@ def test_discs_and_short_ridges_are_no_bars() -> None:
     disc = np.hypot(row - 30.0, column - 30.0) < 9.0
     short = (np.abs(row - 60) <= 1) & (np.abs(column - 80) <= 8)
     assert not found(np.where(disc | short, 9.0, 0.8))
+
+
+def test_a_patch_whose_mean_reaches_the_bound_at_one_place_is_no_bar() -> None:
+    """A line was fitted to that place."""
+    patch = np.zeros(SHAPE, dtype=bool)
+    patch[40:42, 50:59] = True
+    assert not found(np.where(patch, 5.2, 0.8))
