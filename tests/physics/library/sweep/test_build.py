@@ -84,7 +84,7 @@ def test_a_killed_build_goes_on_where_it_stopped(unit_cell: UnitCell, tmp_path: 
     checkpoint.write_bytes(content[:-30] if is_cut else b"\n".join(lines))  # a line cut short, as by a power failure
     survivor = ridges.DyingSolver(10_000)
     resumed = library.build(cell, solver=survivor, checkpoint=checkpoint)
-    # 101 solved in chunks of 4: one is lost with its chunk, one with the cut line.
+    # Small batches are kept size by size: of 101 solved, one is lost, with the cut line.
     assert survivor.calls == whole.statistics.points_solved - (100 if is_cut else 60)
     assert np.array_equal(resumed.t_xx, whole.t_xx)
     assert np.array_equal(resumed.error, whole.error)
