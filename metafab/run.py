@@ -228,11 +228,10 @@ class _State:
             self.records = {each: self.records[each] for each in self.names if each in self.records}
 
     def end_copies(self) -> None:
-        """End the copies that are still at work, and remove what they had half written."""
+        """End the copies that are still at work, and remove what they and killed ones had half written."""
         for _, copy in self.copies.values():
             copy.kill()
-        if self.copies:
-            clear_parts(self.job.folder)
+        clear_parts(self.job.folder)
 
     def forget(self, step: Step) -> None:
         """Remove the files and the record of a step that the design no longer needs."""

@@ -107,6 +107,22 @@ def test_a_step_beside_others_is_in_its_place_when_all_are_done(
 
 
 @pytest.mark.usefixtures("alone")
+def test_nothing_is_left_of_a_copy_that_was_killed(tmp_path: Path, small_design: Design, chain: Chain) -> None:
+    mine, work = os.getpid(), chain.steps[1].work
+
+    def killed(job: Job) -> Any:
+        with whole_file(job.folder / "half.h5") as part:
+            part.touch()
+            if os.getpid() != mine:
+                os.kill(os.getpid(), 9)
+        return work(job)
+
+    summary = run(small_design, tmp_path, steps=chain.changed("drc", work=killed, is_beside=True), work=Work(2))
+    assert list(summary.seconds) == ["phase", "drc", "capture", "report"]
+    assert not list(tmp_path.glob(".*.part"))
+
+
+@pytest.mark.usefixtures("alone")
 def test_a_failure_ends_the_steps_beside_it(tmp_path: Path, small_design: Design, chain: Chain) -> None:
     def working(job: Job) -> Any:
         with whole_file(job.folder / "drc.txt"):

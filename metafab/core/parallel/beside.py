@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
@@ -32,16 +33,14 @@ class Beside(Generic[Result]):
             end.close()
 
     def result(self) -> Result:
-        """Wait for the result, or raise the exception of the call; if its process was killed, do it here."""
+        """Wait for the result; if the copy failed or was killed, do the call here, with its exception and traceback."""
         try:
-            error, result = self._answers.recv()
-        except EOFError:
-            return self._call()
+            return self._answers.recv()  # type: ignore[no-any-return]
+        except (EOFError, OSError):  # OSError within an answer
+            pass
         finally:
             self.kill()
-        if error is not None:
-            raise error
-        return result  # type: ignore[no-any-return]
+        return self._call()
 
     def kill(self) -> None:
         """End the copy; what it has not answered is lost."""
@@ -66,8 +65,5 @@ def begin_beside(call: Callable[[], Result], workers: int | None = None) -> Besi
 
 def _answer(call: Callable[[], Any], end: Connection) -> None:
     begin_copy()
-    try:
-        answer: tuple[Exception | None, Any] = None, call()
-    except Exception as error:  # raised again by `result`
-        answer = error, None
-    end.send(answer)
+    with suppress(Exception):  # `result` does the call again.
+        end.send(call())

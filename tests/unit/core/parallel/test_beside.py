@@ -29,12 +29,24 @@ def test_a_call_runs_while_this_process_goes_on(tmp_path: Path) -> None:
     assert copy.result() != os.getpid()
 
 
+class UncopiedError(Exception):
+    """An exception that cannot be made again from its message."""
+
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__(first + second)
+
+
+def _failing() -> None:
+    raise UncopiedError("of two ", "parts")
+
+
 @alone
-def test_its_failure_is_raised_here() -> None:
-    copy = begin_beside(lambda: 1 // 0, workers=2)
+def test_its_failure_is_raised_here_with_its_own_place() -> None:
+    copy = begin_beside(_failing, workers=2)
     assert copy is not None
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(UncopiedError, match="of two parts") as failure:
         copy.result()
+    assert failure.traceback[-1].name == "_failing"
 
 
 @alone
@@ -43,6 +55,17 @@ def test_a_call_whose_copy_was_killed_is_done_here() -> None:
     copy = begin_beside(lambda: mine if os.getpid() == mine else os.kill(os.getpid(), 9), workers=2)
     assert copy is not None
     assert copy.result() == mine
+
+
+@alone
+def test_a_copy_that_is_killed_within_its_answer_is_no_answer() -> None:
+    answer = bytes(1 << 20)  # more than a pipe holds
+    copy = begin_beside(lambda: answer, workers=2)
+    assert copy is not None
+    assert copy._answers.poll(60.0)
+    copy._process.kill()
+    copy._process.join()
+    assert copy.result() is answer
 
 
 @alone
