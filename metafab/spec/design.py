@@ -156,7 +156,8 @@ class Optics(Checked):
     #: error.
     neighbours: Flag | None = None
     #: Whether the light of a pillar depends on the direction from which it comes; false without the key. The directions
-    #: are those of the scene's field.
+    #: are those of the scene's field. Pillars must be upright rectangles on a clear isotropic substrate. Printed and
+    #: measured pillars keep their light along the axis.
     oblique: Flag | None = None
 
     def _faults(self) -> Iterator[str]:

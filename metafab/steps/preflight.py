@@ -47,6 +47,7 @@ def preflight(design: Design) -> None:
     if design.has_mask:
         faults += _unreachable_rules(design)
         faults += _proximity_classes(design)
+        faults += _pillars_unsolved_at_angles(design)
     if not faults:
         faults += _coarse_pixels(design)
     if not faults and design.scene is not None:
@@ -124,6 +125,16 @@ def _proximity_classes(design: Design) -> list[Fault]:
         return []
     remedy = "leave out [mask.dose], then run `metafab expose LAYOUT --design DESIGN.toml --correct -o DIR`"
     return [Fault("mask.dose.by", "'size' or 'density'", "'proximity'", remedy)]
+
+
+def _pillars_unsolved_at_angles(design: Design) -> list[Fault]:
+    """``[optics] oblique`` with pillars that are not solved under oblique light."""
+    from metafab.library.use.oblique import is_solved_at_angles
+    from metafab.steps.optics.sources import unsolved_angles
+
+    if design.optics is None or not design.optics.oblique or is_solved_at_angles(design.unit_cell):
+        return []
+    return [unsolved_angles("others")]
 
 
 def _objects_outside_view(design: Design, scene: Scene) -> list[Fault]:

@@ -218,7 +218,8 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
             "relative L2",
             "field of sizes of the mask under light from the corner of the field, common phase taken out"
             if psf is None or psf.oblique_change is None
-            else f"the same of held-out sizes by the change that the PSFs carry, which is {psf.oblique_change:.2g}",
+            else "field of held-out sizes under light from the corner of the field, by the change that the PSFs carry "
+            f"({psf.oblique_change:.2g} without it)",
         ),
         BudgetLine(
             "pupil reduction and sampling",

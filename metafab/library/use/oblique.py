@@ -25,8 +25,10 @@ from metafab.cell.rcwa import RcwaDetails, zero_order
 from metafab.cell.response import power_ratio
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.parallel.forked import shared
+from metafab.core.parallel.work import Work
 from metafab.library.fit.rational import Samples, Shape, fit_model
 from metafab.library.library import Library
+from metafab.spec import UnitCell
 
 #: Sizes solved for the error of light along the axis, each standing for an equal share of the pillars.
 _ERROR_SIZES = 8
@@ -65,13 +67,13 @@ def powers(direction: Direction) -> FloatArray:
     return np.asarray(np.stack([square, square**2], axis=1).ravel(), dtype=np.float64)
 
 
-def is_solved_at_angles(library: Library) -> bool:
-    """Whether RCWA solves the library's pillars quickly under oblique light.
+def is_solved_at_angles(unit_cell: UnitCell) -> bool:
+    """Whether RCWA solves the pillars of a unit cell quickly under oblique light.
 
     It is slow for other outlines than rectangles, sloped walls, hexagonal lattices and birefringent substrates, and no
     light comes at an angle out of an absorbing medium.
     """
-    cell = pillar_cell(library.unit_cell, library.width_nm[-1], library.length_nm[-1])
+    cell = pillar_cell(unit_cell, max(unit_cell.sweep.width_nm), max(unit_cell.sweep.length_nm))
     is_slow = cell.untreated("", treated=("under, over",))
     return not is_slow and complex(cell.n_of_angle).imag == 0.0 and cell.n_substrate[0] == cell.n_substrate[1]
 
@@ -96,7 +98,7 @@ def oblique_field_error(
         The larger of both polarisations'; None without pillars, and where :func:`is_solved_at_angles` says no.
     """
     places = _even_shares(pillars, _ERROR_SIZES)
-    if not places.size or not is_solved_at_angles(library):
+    if not places.size or not is_solved_at_angles(library.unit_cell):
         return None
     t = np.array(list(shared(partial(_solved, library, (direction,)), size_nm[places].tolist(), workers)))
     return _largest_change(t[:, 0], t[:, 1], np.ones(places.size))
@@ -107,15 +109,21 @@ def oblique_change(
     size_nm: FloatArray,
     pillars: NDArray[np.integer],
     corner: Direction,
-    workers: int | None = None,
+    work: Work = Work(),
 ) -> ObliqueChange | None:
     """Solve sizes of a mask from the side and fit the coefficients of all its sizes.
 
-    ``size_nm``, shape (n, 2), and the other arguments as for :func:`oblique_field_error`, as the case of None;
-    ``corner`` is the corner of the field. A mask of at most 96 sizes has all of them solved and none fitted.
+    A mask of at most 96 sizes has all of them solved and none fitted.
+
+    Args:
+        library: as for :func:`oblique_field_error`, and so are ``size_nm``, ``pillars`` and the case of None.
+        size_nm: shape (n, 2).
+        pillars: shape (n,).
+        corner: direction of the corner of the field.
+        work: processes that solve, and progress over the sizes.
     """
     used = np.flatnonzero(pillars)
-    if not used.size or not is_solved_at_angles(library):
+    if not used.size or not is_solved_at_angles(library.unit_cell):
         return None
     chosen = used if used.size <= _FITTED_SIZES else np.unique(_even_shares(pillars, _FITTED_SIZES))
     reach = max(abs(tangent) for tangent in corner) / math.hypot(1.0, *corner)
@@ -129,7 +137,11 @@ def oblique_change(
     ]
     empty = pillar_cell(library.unit_cell, 0.0, 0.0)
     by_power = np.sqrt([power_ratio(_inclined(empty, each)) for each in ((0.0, 0.0), *in_planes, corner)])
-    solved = [t * by_power[: len(t)] for t in shared(partial(_solved_towards, library), jobs, workers)]
+    solved: list[ComplexArray] = []
+    work.progress("oblique light", 0, len(jobs))
+    for t in shared(partial(_solved_towards, library), jobs, work.workers):
+        solved.append(t * by_power[: len(t)])
+        work.progress("oblique light", len(solved), len(jobs))
     changes = np.array([(each[1:5] - each[0]).reshape(2, 2, 2) for each in solved])
     if chosen is used:
         fitted = np.zeros((len(size_nm), 2, 2, 2), dtype=np.complex128)

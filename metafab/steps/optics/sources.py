@@ -10,7 +10,7 @@ from collections.abc import Hashable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from metafab.core.errors import InputError
+from metafab.core.errors import Fault, InputError
 from metafab.core.storage.files import Latest, file_mark, fingerprint
 from metafab.steps.exposure import Printed, made_mask
 from metafab.steps.job import Job
@@ -84,13 +84,17 @@ def light_over_field(job: Job, straight: WrittenField | NeighbourField) -> Writt
     key = fingerprint(design), pillars.numbers().tobytes(), file_mark(library_path(job))
 
     def solved() -> ObliqueChange | None:
-        library, workers = open_library(job), job.work.workers
-        return oblique_change(library, pillars.size_nm(), pillars.numbers(), corner, workers)
+        return oblique_change(open_library(job), pillars.size_nm(), pillars.numbers(), corner, job.work)
 
     if (change := _OBLIQUE.of(key, solved)) is None:
-        got, remedy = "others, or none", "remove `oblique` from `[optics]`"
-        raise InputError.single(design.name, "optics.oblique", "upright rectangles on a clear substrate", got, remedy)
+        raise InputError(design.name, [unsolved_angles("others, or none")])
     return ObliqueField(straight, change)
+
+
+def unsolved_angles(got: str) -> Fault:
+    """The fault of ``[optics] oblique`` with pillars that RCWA does not solve under oblique light."""
+    expected = "upright rectangles on a clear isotropic substrate"
+    return Fault("optics.oblique", expected, got, "remove `oblique` from `[optics]`")
 
 
 def ideal_source(job: Job) -> Source:

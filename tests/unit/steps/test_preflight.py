@@ -10,7 +10,8 @@ import pytest
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.spec import Light, load_design, terms
+from metafab.spec import Design, Light, load_design, terms
+from metafab.spec.design import Optics
 from metafab.steps.job import Job
 from metafab.steps.preflight import PREFLIGHT, PreflightFigures, too_steep
 from tests.main_job import ROOT
@@ -54,6 +55,17 @@ def test_phases_too_steep_for_the_pillars_are_announced(tmp_path: Path) -> None:
     share = ((x / root > steep) | (x[:, None] / root > steep))[inside].mean()
     (sentence,) = too_steep(Job(faster, tmp_path))
     assert float(sentence.split(" % ")[0].split()[-1]) == pytest.approx(100.0 * share, rel=0.02)
+
+
+def test_oblique_light_on_pillars_that_are_not_solved_so_is_refused_before_any_work(
+    small_design: Design, tmp_path: Path
+) -> None:
+    design = replace(small_design, optics=Optics(oblique=True))
+    PREFLIGHT.work(Job(design, tmp_path))
+    cell = design.unit_cell
+    round_ones = replace(design, unit_cell=replace(cell, cell=replace(cell.cell, shape="ellipse")))
+    with pytest.raises(InputError, match=r"`optics\.oblique`: expected upright rectangles"):
+        PREFLIGHT.work(Job(round_ones, tmp_path))
 
 
 def test_arrays_are_as_steep_as_their_samples_are_from_pillar_to_pillar(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 from metafab import library, mask
 from metafab.core.errors import InputError
 from metafab.core.figures import LineStatistics
+from metafab.core.parallel.work import Work
 from metafab.layout import lattice_of
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
@@ -88,9 +89,13 @@ def test_light_depends_on_its_direction_on_request_alone(design: Design, tmp_pat
     job = Job(design, tmp_path / "run")
     straight = written_light(job, path)
     assert light_over_field(job, straight) is straight
-    asked = Job(replace(design, optics=Optics(oblique=True)), tmp_path / "run")
+    told: list[tuple[str, float, float]] = []
+    work = Work(progress=lambda *what: told.append(what))
+    asked = Job(replace(design, optics=Optics(oblique=True)), tmp_path / "run", work)
     first, second = (light_over_field(asked, straight) for _ in range(2))
     assert isinstance(first, ObliqueField)
     assert isinstance(second, ObliqueField)
     assert first.change is second.change
     assert first.change.coefficients[1].all()
+    assert told == [("oblique light", done, told[-1][2]) for done in range(len(told))]
+    assert told[-1][1] == told[-1][2] > 0
