@@ -129,7 +129,8 @@ def library_build(
     few, many = library.expected_cells(spec)
     announce([f"{few} cells are solved" if few == many else f"{few} to {many} cells are expected"])
     if spec.neighbours is not None:
-        announce([f"{spec.neighbours.rows} rows of unlike pillars are solved for each direction and light"])
+        rows = f"{spec.neighbours.rows} rows of unlike pillars are solved for each direction and light"
+        announce([f"{rows}, then a twelfth as many where the model is least sure"])
     # Steps whose total is known in advance; the number of cells of an adaptive sweep depends on resonances.
     known = {"library", "rows of unlike pillars"} if few == many else {"rows of unlike pillars"}
     with open_work(workers, cluster) as (work, cost), work.processes() as executor:
