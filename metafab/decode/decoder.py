@@ -53,8 +53,8 @@ class DecoderNumerics:
     #: Whether to separate layers by noise, leave outliers out of segments' depths, and compute the probability that a
     #: pixel is in the right segment; without, decoding is faster.
     refined: bool = True
-    #: Whether, if ``refined``, a model of the frame with occlusion refines outlines of segments, and small objects are
-    #: searched.
+    #: Whether, if ``refined``, a model of the frame with occlusion refines outlines of segments, and small objects and
+    #: bars are searched.
     modelled: bool = True
     kept_bytes: int = KEPT_BYTES  #: Most memory of the transfer functions that are kept for the next frame.
     #: Pixels from one compared pixel to the next; None for the largest step that keeps the information about depth
