@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import re
+import threading
 from collections.abc import Generator
 from dataclasses import dataclass
 from functools import cache
@@ -29,6 +30,12 @@ os.environ["METAFAB_MEEP_JOBS"] = ""
 # In CI the same examples every time: new ones are found where people work, not while a change lands.
 settings.register_profile("metafab", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("metafab")
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Leave tests that copy their process to one without other threads."""
+    if item.get_closest_marker("alone") and threading.active_count() > 1:
+        pytest.skip("run by tests/unit/core/parallel/test_alone.py in a process of its own")
 
 
 class SharedFixtures(LoadScopeScheduling):  # type: ignore[misc]

@@ -6,7 +6,6 @@ import json
 import os
 import re
 import shutil
-import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -67,12 +66,6 @@ def chain() -> Chain:
     return Chain()
 
 
-@pytest.fixture
-def alone() -> None:
-    if threading.active_count() > 1:
-        pytest.skip("beside other threads nothing is copied")
-
-
 def _changed(design: Design, **tables: Any) -> Design:
     return replace(design, **{name: replace(getattr(design, name), **keys) for name, keys in tables.items()})
 
@@ -86,7 +79,7 @@ def test_nothing_changed_nothing_done(tmp_path: Path, small_design: Design, chai
     assert [entry.step for entry in summary.skipped] == ["phase", "drc", "capture", "report"]
 
 
-@pytest.mark.usefixtures("alone")
+@pytest.mark.alone
 def test_a_step_beside_others_is_in_its_place_when_all_are_done(
     tmp_path: Path, small_design: Design, chain: Chain
 ) -> None:
@@ -106,7 +99,7 @@ def test_a_step_beside_others_is_in_its_place_when_all_are_done(
     assert (both / "steps.json").read_bytes() == (alone / "steps.json").read_bytes()
 
 
-@pytest.mark.usefixtures("alone")
+@pytest.mark.alone
 def test_nothing_is_left_of_a_copy_that_was_killed(tmp_path: Path, small_design: Design, chain: Chain) -> None:
     mine, work = os.getpid(), chain.steps[1].work
 
@@ -122,7 +115,7 @@ def test_nothing_is_left_of_a_copy_that_was_killed(tmp_path: Path, small_design:
     assert not list(tmp_path.glob(".*.part"))
 
 
-@pytest.mark.usefixtures("alone")
+@pytest.mark.alone
 def test_a_failure_ends_the_steps_beside_it(tmp_path: Path, small_design: Design, chain: Chain) -> None:
     def working(job: Job) -> Any:
         with whole_file(job.folder / "drc.txt"):

@@ -11,10 +11,8 @@ import pytest
 
 from metafab.core.parallel.beside import begin_beside
 
-alone = pytest.mark.skipif("threading.active_count() > 1", reason="beside other threads nothing is copied")
 
-
-@alone
+@pytest.mark.alone
 def test_a_call_runs_while_this_process_goes_on(tmp_path: Path) -> None:
     seen = tmp_path / "seen"
 
@@ -40,7 +38,7 @@ def _failing() -> None:
     raise UncopiedError("of two ", "parts")
 
 
-@alone
+@pytest.mark.alone
 def test_its_failure_is_raised_here_with_its_own_place() -> None:
     copy = begin_beside(_failing, workers=2)
     assert copy is not None
@@ -49,7 +47,7 @@ def test_its_failure_is_raised_here_with_its_own_place() -> None:
     assert failure.traceback[-1].name == "_failing"
 
 
-@alone
+@pytest.mark.alone
 def test_a_call_whose_copy_was_killed_is_done_here() -> None:
     mine = os.getpid()
     copy = begin_beside(lambda: mine if os.getpid() == mine else os.kill(os.getpid(), 9), workers=2)
@@ -57,7 +55,7 @@ def test_a_call_whose_copy_was_killed_is_done_here() -> None:
     assert copy.result() == mine
 
 
-@alone
+@pytest.mark.alone
 def test_a_copy_that_is_killed_within_its_answer_is_no_answer() -> None:
     answer = bytes(1 << 20)  # more than a pipe holds
     copy = begin_beside(lambda: answer, workers=2)
@@ -68,7 +66,7 @@ def test_a_copy_that_is_killed_within_its_answer_is_no_answer() -> None:
     assert copy.result() is answer
 
 
-@alone
+@pytest.mark.alone
 def test_a_copy_that_is_not_needed_ends_at_once() -> None:
     copy = begin_beside(lambda: time.sleep(600.0), workers=2)
     assert copy is not None

@@ -54,10 +54,7 @@ def test_files_written_by_copies_are_there(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["0", "1", "2", "3", "4"]
 
 
-alone = pytest.mark.skipif("threading.active_count() > 1", reason="beside other threads nothing is copied")
-
-
-@alone
+@pytest.mark.alone
 def test_the_work_of_a_killed_process_is_done_again(tmp_path: Path) -> None:
     mark, parent = tmp_path / "killed", os.getpid()
 
@@ -71,7 +68,7 @@ def test_the_work_of_a_killed_process_is_done_again(tmp_path: Path) -> None:
     assert mark.exists()
 
 
-@alone
+@pytest.mark.alone
 def test_an_item_that_ends_every_process_is_named() -> None:
     parent = os.getpid()
 

@@ -1,0 +1,18 @@
+"""Tests that copy their process, in one without other threads: those of earlier tests would have them skipped."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+HERE = Path(__file__).parent
+
+
+def test_those_that_copy_their_process_pass() -> None:
+    marked = [*(HERE / name for name in ("test_beside.py", "test_forked.py")), HERE.parents[1] / "test_run.py"]
+    command = [sys.executable, "-m", "pytest", "-q", "-m", "alone", "-p", "no:cacheprovider", *map(str, marked)]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert re.search(r"\d+ passed, \d+ deselected", run.stdout), run.stdout  # none is skipped
