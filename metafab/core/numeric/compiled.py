@@ -15,6 +15,7 @@ import numba.extending
 from numba.core.compiler_lock import global_compiler_lock
 
 from metafab.core.numeric.ahead import start_helpers
+from metafab.core.parallel.interrupts import held_interrupts
 
 try:
     import fcntl
@@ -64,9 +65,10 @@ def _warn_uncached() -> None:
 
 def _compile_once(kernel: Any, compile_or_load: Callable[[Any], Any], source: str, arguments: Any) -> Any:
     """Compile ``kernel`` of the file ``source`` for the types of ``arguments``, or load it from the cache."""
+    # An interrupt between a lock and its block would leave the lock taken, for which other threads wait for ever.
     # Compiler lock first: a thread that held a file's lock while it waited for the compiler would stop the one that has
     # the compiler.
-    with global_compiler_lock, _alone_with(source):
+    with held_interrupts(), global_compiler_lock, _alone_with(source):
         misses = sum(kernel.stats.cache_misses.values())
         entry_point = compile_or_load(arguments)
         was_compiled = sum(kernel.stats.cache_misses.values()) > misses

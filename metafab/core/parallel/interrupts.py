@@ -10,15 +10,22 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Any, cast
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
 _ENDING = (signal.SIGINT, signal.SIGTERM)
 
-#: Delay before a signal is sent again (s): by then the finalizer or callback that could not raise has usually returned.
+#: Delay before a signal is sent again (s): by then the code that it must not end has usually returned.
 _AGAIN_AFTER_S = 0.01
+
+#: Code that waits for a thread: before Python 3.13, an exception there marks a thread that still runs as ended.
+_JOINS = tuple(
+    method.__code__
+    for name in ("_wait_for_tstate_lock", "_stop")
+    if (method := getattr(threading.Thread, name, None)) is not None
+)
 
 
 class InterruptedRunError(BaseException):
@@ -33,14 +40,18 @@ class InterruptedRunError(BaseException):
 def raised_interrupts() -> Iterator[None]:
     """Raise :class:`InterruptedRunError` on Ctrl-C and SIGTERM within the block; call it in the main thread.
 
-    A signal may arrive in a finalizer or in a callback, where Python prints an exception and goes on. Such a signal is
-    not printed but sent again after 10 ms. Where it arrives within a class body or the import of a compiled module,
-    another exception takes its place: after a signal, any exception that ends the block becomes the signal's.
+    A signal may arrive in a finalizer or in a callback, where Python prints an exception and goes on, or while a thread
+    is joined, where Python would take it for ended. Such a signal is sent again after 10 ms. Where it arrives within a
+    class body or the import of a compiled module, another exception takes its place: after a signal, any exception that
+    ends the block becomes the signal's.
     """
     arrived: list[signal.Signals] = []
 
-    def interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    def interrupt(number: int, frame: FrameType | None) -> None:
         arrived.append(signal.Signals(number))
+        if frame is not None and frame.f_code in _JOINS:
+            _thread.start_new_thread(_send_later, (arrived[-1],))
+            return
         raise InterruptedRunError(arrived[-1])
 
     hook = sys.unraisablehook

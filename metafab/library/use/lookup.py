@@ -22,6 +22,7 @@ from metafab.core.conventions import ComplexArray, FloatArray, wrap_phase
 from metafab.core.errors import Fault, InputError
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import default_workers
+from metafab.core.parallel.interrupts import held_interrupts
 from metafab.library.library import Library
 from metafab.library.use.amplitudes import empty_cell_t
 
@@ -280,7 +281,9 @@ def best_overlap(t: ComplexArray, cells: int) -> tuple[NDArray[np.uint16], Float
     overlap = np.empty((cells, cells))
     for rows in np.array_split(np.arange(cells), -(-cells // _ROWS_AT_ONCE)):
         targets = np.broadcast_arrays(cosine, sine, cosine[rows, None], sine[rows, None])
-        _, best = tree.query(np.stack([*targets, np.zeros((rows.size, cells))], axis=-1), workers=default_workers())
+        places = np.stack([*targets, np.zeros((rows.size, cells))], axis=-1)
+        with held_interrupts():  # SciPy's threads would read the tree while the interrupt ends it.
+            _, best = tree.query(places, workers=default_workers())
         index[rows] = best + 1
         overlap[rows] = sum(u[best, axis] * part for axis, part in enumerate(targets))
     return index, overlap

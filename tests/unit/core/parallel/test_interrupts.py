@@ -14,12 +14,16 @@ import weakref
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import resource_tracker
+from typing import Any
 
+import numpy as np
 import pytest
 
+from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel import processes
 from metafab.core.parallel.executor import open_executor
 from metafab.core.parallel.interrupts import InterruptedRunError, held_interrupts, raised_interrupts
+from metafab.library.use import lookup
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 
@@ -106,6 +110,23 @@ def test_a_held_interrupt_comes_at_the_end(number: signal.Signals) -> None:
     assert done == ["inside"]
 
 
+def test_a_joined_thread_ends_before_the_interrupt_is_raised() -> None:
+    ended = []
+
+    def work() -> None:
+        time.sleep(0.05)
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGTERM)
+        time.sleep(0.2)
+        ended.append(True)
+
+    thread = threading.Thread(target=work)
+    with pytest.raises(InterruptedRunError), raised_interrupts():
+        thread.start()
+        thread.join()
+        time.sleep(20.0)
+    assert ended == [True]
+
+
 def test_nothing_is_held_beside_the_main_thread() -> None:
     handlers = []
 
@@ -152,3 +173,36 @@ def test_workers_of_an_interrupted_run_begin_whole(
         with suppress(ChildProcessError):  # already waited for
             os.waitpid(worker, 0)
     assert capfd.readouterr().err == ""
+
+
+def test_a_kernel_is_compiled_whole() -> None:
+    """An interrupt within the compiler's lock left it taken, and the next thread waited for ever."""
+    done = []
+
+    def interrupted(arguments: object) -> None:
+        _arrive(signal.SIGTERM)
+        done.append(arguments)
+
+    kernel: Any = compiled(_arrive)
+    compile_once = kernel.compile.func
+    with pytest.raises(InterruptedRunError), raised_interrupts():
+        compile_once(kernel, interrupted, __file__, "types")
+    assert done == ["types"]
+
+
+def test_the_threads_of_a_tree_are_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SciPy's threads read a tree that the interrupt had freed."""
+    begun: list[threading.Thread] = []
+    start = threading.Thread.start
+
+    def interrupted(thread: threading.Thread) -> None:
+        start(thread)
+        begun.append(thread)
+        _arrive(signal.SIGTERM)
+
+    monkeypatch.setattr(lookup, "default_workers", lambda: 2)
+    monkeypatch.setattr(threading.Thread, "start", interrupted)
+    with pytest.raises(InterruptedRunError), raised_interrupts():
+        lookup.best_overlap(np.exp(1j * np.linspace(0.0, 6.0, 200).reshape(100, 2)), 64)
+    assert len(begun) == 2
+    assert not any(thread.is_alive() for thread in begun)
