@@ -14,7 +14,7 @@ from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
 from metafab.optics.geometry.polarisation import Quantity, vectorial_effect
 
 #: Smallest target errors, for one wavelength and with a filter. Single precision leaves an error of 2e-6 and the
-#: low-rank kernel a fifth of the target; with a filter, half the target is left for the pupil blocks.
+#: low-rank kernel a sixth of the target; with a filter, half the target is left for the pupil blocks.
 _SMALLEST_TARGET, _SMALLEST_TARGET_IN_BAND = 4e-6, 1e-5
 #: Scalar propagation is used if its error is below this share of the target error; a target above the second number
 #: counts as that number.

@@ -59,7 +59,7 @@ class Window:
 
     @classmethod
     def for_target(cls, imaging: Imaging, numerics: PsfNumerics) -> Window:
-        """Return the window whose low-rank error is a fifth of the target error.
+        """Return the window whose low-rank error is a sixth of the target error.
 
         The low-rank error is relative to the light that the lens can send to the window. A window below the size of a
         fringe may lie in the dark core of a vortex, where the field falls with the side to the power of the charge; a
@@ -67,7 +67,7 @@ class Window:
         """
         fringe_um = imaging.finest_fringe_um(0, (0.0, 0.0))
         share = min(1.0, numerics.window_px * imaging.pixel_um / fringe_um)
-        tolerance = max(_FINEST_TOLERANCE, min(0.1 * numerics.target_error, 1e-3) * share**2)
+        tolerance = max(_FINEST_TOLERANCE, min(numerics.target_error / 12.0, 1e-3) * share**2)
         return cls(imaging, numerics.window_px, tolerance, *quantity_of(imaging, numerics))
 
     def irradiance(
@@ -172,8 +172,8 @@ class Window:
         q_x, q_y, rest = (points_needed(change, self.tolerance) for change in changes)
         n_y, n_x = pupil.power.shape
         terms = 4.0 + rest * rest / 16.0
-        gather = 12.0 * q_y * n_x * (n_y + q_x)
-        images = 16.0 * terms * side * q_y * (q_x + side)
+        gather = q_y * n_x * (12.0 * n_y + 8.0 * q_x)
+        images = 8.0 * terms * side * q_y * (q_x + side)
         per_depth = _SECONDS_PER_OPERATION * (gather + images) + _SECONDS_PER_BLOCK * pupil.power.size
         kernel = _SECONDS_PER_PANEL + _SECONDS_PER_ENTRY * rest**4
         return float(panels**2 * (per_depth + kernel / _USUAL_DEPTHS))
@@ -207,7 +207,13 @@ def relative_l2(value: FloatArray, reference: FloatArray) -> float:
 
 
 def bounding_box(pupils: Sequence[Pupil]) -> tuple[Span, Span]:
-    """Return the spans of x and y, um, that hold the block centres of all pupils."""
-    x = min(float(p.x_um[0]) for p in pupils), max(float(p.x_um[-1]) for p in pupils)
-    y = min(float(p.y_um[0]) for p in pupils), max(float(p.y_um[-1]) for p in pupils)
-    return x, y
+    """Return the spans of x and y, um, that hold the sites of all blocks of all pupils."""
+
+    def span(axis: int) -> Span:
+        ends = []
+        for pupil in pupils:
+            centres, half = (pupil.x_um, pupil.y_um)[axis], 0.5 * (pupil.block_um[axis] - pupil.pitch_um[axis])
+            ends += [float(centres[0]) - half, float(centres[-1]) + half]
+        return min(ends), max(ends)
+
+    return span(0), span(1)

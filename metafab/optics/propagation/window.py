@@ -1,7 +1,7 @@
 """Transform block sums to the field on one window of the sensor, by a few matrix Fourier transforms.
 
-Blocks are gathered on the Chebyshev points of the lens. Each low-rank term of the kernel weights them on the lens,
-transforms them to the window by two matrices, and weights the result on the window; the terms add up.
+Blocks are gathered on the Chebyshev points of the lens. Each low-rank term of the kernel weights the points, transforms
+them to the window by two matrices, and weights the result on the window; the terms add up.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric import chebyshev
+from metafab.core.numeric.chebyshev import Span
 from metafab.optics.geometry.path import Ray
 from metafab.optics.geometry.polarisation import Weight
 from metafab.optics.propagation.kernel import SingleComplexArray, WindowKernel
@@ -24,32 +25,29 @@ from metafab.optics.propagation.refocus import refocus, weighted
 
 @dataclass(frozen=True)
 class WindowTransform:
-    """Linear map from refocused blocks to the field on the window."""
+    """Linear map from refocused blocks to the field on the window.
+
+    A block is its sum and, above one site, its two first moments: light that is uniform over the block and light that
+    rises along x or y. The kernel is averaged over the sites of the block with these weights, which is its diffraction.
+    """
 
     kernel: WindowKernel  #: Propagation from Chebyshev points to the window.
-    gather_y: NDArray[np.float32]  #: Shape (q_y, n_y), transposed interpolation: blocks to weights on Chebyshev points.
-    gather_x: NDArray[np.float32]  #: Shape (n_x, q_x).
-    #: Shape (3, n, n), response of each window point to the sum and the moments of a block: the diffraction of the
-    #: block, and i times its phase slope along x and y. Shape (1, n, n) for blocks of one site.
-    by_order: SingleComplexArray
+    #: Shape (2, q_y, n_y), blocks to weights on Chebyshev points: transposed interpolation, averaged over a block, and
+    #: its slope over the block, 1/um.
+    gather_y: NDArray[np.float32]
+    gather_x: NDArray[np.float32]  #: Shape (2, n_x, q_x).
 
     @classmethod
     def build(cls, pupil: Pupil, kernel: WindowKernel) -> WindowTransform:
-        """Return the transform from the blocks of ``pupil`` to the window of ``kernel``."""
-        q_y, q_x = kernel.over_lens.shape[1:]
-        spec, block = kernel.spec, pupil.carrier.block_sites
-        (x, y, z), offsets_um, n = spec.target_um, spec.offsets_um, spec.window_px
-        distance = math.hypot(x, y, z)
-        slope_x, slope_y = (-spec.wavenumber * (1.0 - (c / distance) ** 2) / distance * offsets_um for c in (x, y))
-        diffraction = np.outer(
-            _dirichlet(slope_y * pupil.pitch_um[1], block), _dirichlet(slope_x * pupil.pitch_um[0], block)
-        )
-        orders = [diffraction, 1j * np.tile(slope_x, (n, 1)), 1j * np.tile(slope_y, (n, 1)).T]
+        """Return the transform from blocks whose sites lie in the box of ``kernel`` to the window."""
+        (q_y, q_x), (over_x, over_y) = kernel.over_lens.shape[1:], kernel.spec.lens_um
+        (pitch_x, pitch_y), sites = pupil.pitch_um, pupil.carrier.block_sites
+        along_y = _over_blocks(over_y, q_y, pupil.y_um, pitch_y, sites)
+        along_x = _over_blocks(over_x, q_x, pupil.x_um, pitch_x, sites)
         return cls(
             kernel,
-            chebyshev.interpolation(spec.lens_um[1], q_y, pupil.y_um).T.astype(np.float32, order="C"),
-            chebyshev.interpolation(spec.lens_um[0], q_x, pupil.x_um).astype(np.float32, order="C"),
-            np.array(orders[: 1 if block == 1 else 3], dtype=np.complex64),
+            along_y.transpose(0, 2, 1).astype(np.float32, order="C"),
+            along_x.astype(np.float32),
         )
 
     def field(self, blocks: SingleComplexArray) -> SingleComplexArray:
@@ -57,34 +55,35 @@ class WindowTransform:
         return self.propagated(self.gathered(blocks))
 
     def gathered(self, blocks: SingleComplexArray, rows: slice = slice(None)) -> SingleComplexArray:
-        """Return the weights on the Chebyshev points, shape (1 or 3, q_y, q_x), of the blocks in some ``rows``."""
-        along_y = (self.gather_y[:, rows] @ blocks.view(np.float32)).view(np.complex64)
-        return np.asarray((along_y.real @ self.gather_x) + 1j * (along_y.imag @ self.gather_x))
+        """Return the weights on the Chebyshev points, shape (q_y, q_x), of the blocks in some ``rows``."""
+        (value_y, slope_y), (value_x, slope_x) = self.gather_y[:, :, rows], self.gather_x
+        if blocks.shape[0] == 1:
+            return _along_x(value_y @ blocks[0].view(np.float32), value_x)
+        along_y = value_y @ blocks[:2].view(np.float32)
+        along_y[0] += slope_y @ blocks[2].view(np.float32)
+        return _along_x(along_y[0], value_x) + _along_x(along_y[1], slope_x)
 
     def propagated(self, weights: SingleComplexArray) -> SingleComplexArray:
         """Return the field on the window, shape (n, n), of weights as :meth:`gathered` gives them."""
         kernel = self.kernel
-        total = np.zeros(self.by_order.shape[1:], dtype=np.complex64)
-        for terms, order, weight in zip(self._terms(), self.by_order, weights, strict=True):
-            images = kernel.left @ (kernel.over_lens[terms] * weight) @ kernel.right
-            images *= kernel.over_window[terms]
-            total += order * images.sum(axis=0)
-        return total
-
-    def _terms(self) -> list[slice]:
-        """Low-rank terms for the sum (all) and for the small moments (the stronger half; terms grow in strength)."""
-        return [slice(None), *2 * [slice(self.kernel.rank // 2, None)]][: self.by_order.shape[0]]
+        images = kernel.left @ (kernel.over_lens * weights) @ kernel.right
+        images *= kernel.over_window
+        return np.asarray(images.sum(axis=0))
 
     def adjoint(self, field: SingleComplexArray) -> SingleComplexArray:
-        """Apply the conjugate transpose of :meth:`field`: field, shape (n, n), to blocks, shape (1 or 3, n_y, n_x)."""
+        """Apply the conjugate transpose of :meth:`field`: field, shape (n, n), to blocks, shape (3, n_y, n_x)."""
         kernel = self.kernel
-        blocks = []
-        for terms, order in zip(self._terms(), self.by_order, strict=True):
-            images = kernel.over_window[terms].conj() * (order.conj() * field)
-            weights = kernel.left.conj().T @ images @ kernel.right.conj().T
-            total = np.einsum("mvu,mvu->vu", kernel.over_lens[terms].conj(), weights)
-            blocks.append(self.gather_y.T @ total @ self.gather_x.T)
-        return np.array(blocks, dtype=np.complex64)
+        images = kernel.left.conj().T @ (kernel.over_window.conj() * field) @ kernel.right.conj().T
+        weights = np.einsum("mvu,mvu->vu", kernel.over_lens.conj(), images)
+        (value_y, slope_y), (value_x, slope_x) = self.gather_y, self.gather_x
+        pairs = ((value_y, value_x), (value_y, slope_x), (slope_y, value_x))
+        return np.array([along_y.T @ weights @ along_x.T for along_y, along_x in pairs], dtype=np.complex64)
+
+
+def _along_x(values: NDArray[np.float32], gather_x: NDArray[np.float32]) -> SingleComplexArray:
+    """Complex ``values``, shape (q_y, 2 n_x) as pairs of real numbers, gathered along x to shape (q_y, q_x)."""
+    columns = values.view(np.complex64)
+    return np.asarray((columns.real @ gather_x) + 1j * (columns.imag @ gather_x))
 
 
 def window_fields(pupil: Pupil, kernel: WindowKernel, rays: Sequence[Ray]) -> Iterator[ComplexArray]:
@@ -111,9 +110,16 @@ def component_fields(
         yield [transform.propagated(total).astype(np.complex128) for total in gathered]
 
 
-def _dirichlet(phase_per_site: FloatArray, sites: int) -> FloatArray:
-    """Dirichlet kernel, the diffraction of a block: mean of exp(i phase n) over ``sites`` centred sites."""
-    half = 0.5 * phase_per_site
-    steep = np.abs(np.sin(half)) > 1e-9
-    safe = np.where(steep, half, 1.0)
-    return np.where(steep, np.sin(sites * safe) / (sites * np.sin(safe)), 1.0)
+def _over_blocks(span: Span, count: int, centres: FloatArray, pitch_um: float, sites: int) -> FloatArray:
+    """Interpolation from Chebyshev points to blocks along one axis, and its slope, 1/um; shape (2, n, count).
+
+    Sums over the ``sites`` of a block are those of a Gauss rule of three places, exact to the fifth power of the
+    distance from the middle.
+    """
+    square, fourth = (sites**2 - 1) / 12.0, (sites**2 - 1) * (3 * sites**2 - 7) / 240.0
+    middle = chebyshev.interpolation(span, count, centres)
+    if sites == 1:
+        return np.array([middle, np.zeros_like(middle)])
+    step, share = pitch_um * math.sqrt(fourth / square), 0.5 * square**2 / fourth
+    below, above = (chebyshev.interpolation(span, count, centres + side * step) for side in (-1, 1))
+    return np.array([(1.0 - 2.0 * share) * middle + share * (below + above), (above - below) / (2.0 * step)])
