@@ -1,7 +1,7 @@
 """Exact Euclidean distance transform, in time proportional to the pixels.
 
 Columns first, then rows by the lower envelope of parabolas (Felzenszwalb and Huttenlocher, Theory of Computing 8, 415,
-2012). The loops run in one thread, so that any thread may call them.
+2012). Rows and columns are spread over the kept threads.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import spread
 
 #: Distance in rows that stands for a column without any pixel: no image is as high, and its square is exact.
 _FAR = np.int32(10_000_000)
@@ -30,7 +31,11 @@ def nearest(mask: NDArray[np.bool_]) -> Nearest:
     if not mask.any():
         row, column = np.meshgrid(*(np.arange(n, dtype=np.int32) for n in mask.shape), indexing="ij")
         return np.full(mask.shape, np.inf, dtype=np.float32), row, column
-    return _lower_envelopes(_nearest_rows(mask))
+    rows, row, column = np.empty((3, *mask.shape), dtype=np.int32)
+    distances = np.empty(mask.shape, dtype=np.float32)
+    spread(_nearest_rows, mask.shape[1], mask, rows)
+    spread(_lower_envelopes, mask.shape[0], rows, distances, row, column)
+    return distances, row, column
 
 
 def box_about(mask: NDArray[np.bool_], reach: int = 0) -> tuple[slice, slice]:
@@ -48,37 +53,42 @@ def box_about(mask: NDArray[np.bool_], reach: int = 0) -> tuple[slice, slice]:
 
 
 @compiled
-def _nearest_rows(mask: NDArray[np.bool_]) -> NDArray[np.int32]:
+def _nearest_rows(first: int, stop: int, mask: NDArray[np.bool_], rows: NDArray[np.int32]) -> None:
     """The nearest row of ``mask`` in each pixel's column; far outside of the image if there is none."""
-    n_y, n_x = mask.shape
-    rows = np.empty((n_y, n_x), dtype=np.int32)
+    n_y, n_x = mask.shape[0], stop - first
     last = np.full(n_x, -_FAR, dtype=np.int32)
     for i in range(n_y):
-        here, out = mask[i], rows[i]
+        here, out = mask[i, first:stop], rows[i, first:stop]
         for j in range(n_x):
             last[j] = np.int32(i) if here[j] else last[j]
             out[j] = last[j]
     last[:] = _FAR
     for i in range(n_y - 1, -1, -1):
-        here, out = mask[i], rows[i]
+        here, out = mask[i, first:stop], rows[i, first:stop]
         for j in range(n_x):
             last[j] = np.int32(i) if here[j] else last[j]
             out[j] = last[j] if last[j] - i < i - out[j] else out[j]
-    return rows
 
 
 @compiled
-def _lower_envelopes(rows: NDArray[np.int32]) -> Nearest:
+def _lower_envelopes(
+    first: int,
+    stop: int,
+    rows: NDArray[np.int32],
+    distances: NDArray[np.float32],
+    row: NDArray[np.int32],
+    column: NDArray[np.int32],
+) -> None:
     """The nearest pixel over all columns, from the nearest row of each column."""
-    n_y, n_x = rows.shape
-    distances = np.empty((n_y, n_x), dtype=np.float32)
-    row, column = np.empty((2, n_y, n_x), dtype=np.int32)
-    for i in range(n_y):
-        # Columns whose parabolas (x - j)^2 + d_j^2 are the lowest somewhere, and the first x at which each is.
-        lowest, start = np.empty(n_x, dtype=np.int32), np.empty(n_x + 1, dtype=np.float64)
-        height = np.empty(n_x, dtype=np.float64)
+    n_x = rows.shape[1]
+    # Columns whose parabolas (x - j)^2 + d_j^2 are the lowest somewhere, and the first x at which each is.
+    lowest, start = np.empty(n_x, dtype=np.int32), np.empty(n_x + 1, dtype=np.float64)
+    height = np.empty(n_x, dtype=np.float64)
+    for i in range(first, stop):
         last = -1
         for j in range(n_x):
+            if np.abs(rows[i, j]) == _FAR:
+                continue
             down = np.float64(rows[i, j] - i)
             height[j] = down * down + np.float64(j) * np.float64(j)
             crossing = -np.inf
@@ -99,4 +109,3 @@ def _lower_envelopes(rows: NDArray[np.int32]) -> Nearest:
             row[i, j], column[i, j] = rows[i, k], k
             down, along = np.float64(rows[i, k] - i), np.float64(k - j)
             distances[i, j] = np.sqrt(down * down + along * along)
-    return distances, row, column

@@ -7,6 +7,7 @@ decoded like small frames, together with their surroundings. Their segments are 
 from __future__ import annotations
 
 import time
+from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -29,7 +30,7 @@ from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
 from metafab.decode.registration.downsampling import relative_slices, repeated
 from metafab.decode.registration.pedestal import without_pedestal
-from metafab.decode.registration.twins import Twins, extract_part
+from metafab.decode.registration.twins import extract_part
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import find_regions, layer_separation_per_m, near_texture
 from metafab.decode.segmentation.segments import Regions
@@ -161,7 +162,8 @@ class VideoDecoder:
         """The last frame with parts of the next one: changed rectangles, downsampled pixels.
 
         ``affected``, shape (n_y, n_x), are the pixels in them that filters mix with changed light, ``changed`` those
-        whose light changed: only there may another surface stand.
+        whose light changed: only there may another surface stand. The last frame's twins, cost volume and sharp images
+        are overwritten; the maps belong to its image and are copied.
         """
         prepared, volume = self._matched(frame, last, parts)
         rectangles = [self._rectangle(prepared, part) for part in parts]
@@ -171,6 +173,7 @@ class VideoDecoder:
             near_light[one.part] = one.prepared.near_light[one.inside]
         near_light = repeated(near_light & affected, step, shape)
         with kept_threads() as pool:
+            copied = pool.submit(deepcopy, last.maps)
             tiles = pool.submit(self.decoder.deconvolver.tile_spectra, prepared.twins.image, near_light)
             pixels, tracked = self._segmented(volume, last, rectangles, changed)
         regions = remeasured(tracked.regions, volume, step)
@@ -178,14 +181,14 @@ class VideoDecoder:
         redrawn = rectangles if regions is tracked.regions else [self._rectangle(prepared, whole)]
         sharp = self._deconvolved(prepared, last, regions, rectangles, affected, tiles.result())
         regions = self._moved(regions, sharp, rectangles, changed)
-        patches = []
+        maps, patches = copied.result(), []
         for one in redrawn:
             frame_slices, around = self.decoder.filters.downsampling.frame_slices, one.around
             sharp_part = sharp.within(*frame_slices(*around))
             of_part = one.prepared, pixels.within(*around), regions.within(*around), sharp_part
-            maps = PixelMaps.of(*of_part, lit_pixels(one.prepared, sharp_part))
-            patches.append((frame_slices(*one.part), maps, frame_slices(*around)))
-        maps = last.maps.updated(tracked.number, patches)
+            of_part_maps = PixelMaps.of(*of_part, lit_pixels(one.prepared, sharp_part))
+            patches.append((frame_slices(*one.part), of_part_maps, frame_slices(*around)))
+        maps.overwrite(tracked.number, patches)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 
     def _moved(
@@ -224,25 +227,23 @@ class VideoDecoder:
         return rows, columns
 
     def _matched(self, frame: RawFrame, last: DecodedFrame, parts: list[Part]) -> tuple[PreparedFrame, CostVolume]:
-        """The last frame's twins and cost volume with those of the changed parts."""
-        before, grid = last.prepared, self.decoder.calibration.grid
+        """The last frame's twins and cost volume, overwritten in the changed parts."""
+        before, grid, volume = last.prepared, self.decoder.calibration.grid, last.volume
         frame = without_pedestal(frame, before.levels.pedestal_e)
-        twin_images, broken = before.twins.image.copy(), before.twins.broken.copy()
-        images, products = before.images.copy(), last.volume.products.copy()
         for part in parts:
             filters = self.decoder.filters.within(*part)
             rows, columns = self.decoder.filters.downsampling.frame_slices(*part)
             twins = extract_part(frame, grid, rows, columns)
             wide = slice(rows.start, rows.stop + 2 * grid.margin), slice(columns.start, columns.stop + 2 * grid.margin)
-            twin_images[:, *wide], broken[:, *wide] = twins
+            before.twins.image[:, *wide], before.twins.broken[:, *wide] = twins
             spectra = filters.downsampling.spectra(twins[0])
             small = filters.downsampling.images(spectra)[:, *filters.downsampling.inner]
             m = filters.downsampling.margin
-            images[:, part[0].start + m : part[0].stop + m, part[1].start + m : part[1].stop + m] = small
+            before.images[:, part[0].start + m : part[0].stop + m, part[1].start + m : part[1].stop + m] = small
             lit = small.sum(axis=0) > before.dark_e
-            products[:, :, *part] = filters.volume(spectra, before.levels, lit, silent).products
-        prepared = replace(before, twins=Twins(grid, twin_images, broken), images=images)
-        return prepared, replace(last.volume, products=products)
+            volume.products[:, :, *part] = filters.volume(spectra, before.levels, lit, silent).products
+        # New objects, without what the last frame's computed from these arrays.
+        return replace(before, twins=replace(before.twins)), volume
 
     def _segmented(
         self,
@@ -297,7 +298,8 @@ class VideoDecoder:
             inside = downsampling.frame_slices(*one.part)
             wanted[inside], renewed[inside] = all_wanted[inside], all_affected[inside]
         sharp = self.decoder.deconvolver(tiles, prepared.levels, wanted, vergences, prepared.twins.broken)
-        return last.sharp.replaced(sharp, renewed)
+        last.sharp.overwrite(sharp, renewed)
+        return last.sharp
 
 
 def _read_only(image: Image4D) -> Image4D:

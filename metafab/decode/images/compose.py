@@ -113,21 +113,19 @@ class PixelMaps:
             lit,
         )
 
-    def updated(self, renumbered: NDArray[np.int32], patches: Sequence[Patch]) -> PixelMaps:
-        """New maps with parts of other maps.
+    def overwrite(self, renumbered: NDArray[np.int32], patches: Sequence[Patch]) -> None:
+        """Write parts of other maps into these.
 
         Args:
             renumbered: shape (n_segments + 1,), new number of each segment by the old one, from 0 for none.
             patches: for each part, its slices, maps of its surroundings, and the slices of these surroundings.
         """
-        arrays = {item.name: getattr(self, item.name).copy() for item in fields(self)}
         if not np.array_equal(renumbered, np.arange(renumbered.size)):
-            arrays["segment"] = renumbered[self.segment]
+            self.segment[...] = renumbered[self.segment]
         for part, maps, surroundings in patches:
             inside = relative_slices(part, surroundings)
-            for name, array in arrays.items():
-                array[part] = getattr(maps, name)[inside]
-        return PixelMaps(**arrays)
+            for item in fields(self):
+                getattr(self, item.name)[part] = getattr(maps, item.name)[inside]
 
     def image(self, prepared: PreparedFrame, volume: CostVolume, regions: Regions, sharp: SharpImages) -> Image4D:
         """The 4D image, with figures of each segment and of the decoding."""

@@ -56,10 +56,10 @@ class SharpImages:
         """A part of the images."""
         return SharpImages(self.images[:, rows, columns], self.noise_gain[:, rows, columns])
 
-    def replaced(self, other: SharpImages, where: NDArray[np.bool_]) -> SharpImages:
-        """New images: those of ``other`` where the mask (n_y, n_x) is set, these elsewhere."""
-        images = np.where(where, other.images, self.images)
-        return SharpImages(images, np.where(where, other.noise_gain, self.noise_gain))
+    def overwrite(self, other: SharpImages, where: NDArray[np.bool_]) -> None:
+        """Write ``other`` into these images where the mask (n_y, n_x) is set."""
+        np.copyto(self.images, other.images, where=where)
+        np.copyto(self.noise_gain, other.noise_gain, where=where)
 
 
 @dataclass(frozen=True)

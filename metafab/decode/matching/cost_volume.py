@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.interpolation import spline_weights
+from metafab.core.parallel.executor import spread
 from metafab.decode.matching.pooling import halved, label_sums
 
 #: Depths between two candidates at which products are interpolated pixel by pixel; the nearest one is taken.
@@ -62,7 +63,9 @@ class CostVolume:
         weights = _fine_weights(tuple(nodes.tolist()))
         steps = weights.shape[1] - 1
         place = np.rint((vergence_per_m - nodes[0]) * (steps / (nodes[-1] - nodes[0])))
-        return _weighted_sums(self.products, weights, np.clip(place, 0, steps).astype(np.int32))
+        sums = np.zeros((3, *self.shape), dtype=np.float32)
+        spread(_weighted_sums, self.shape[0], self.products, weights, np.clip(place, 0, steps).astype(np.int32), sums)
+        return sums
 
     def label_sums(self, label: NDArray[np.int32], count: int) -> FloatArray:
         """Sum the products over the pixels of each number from 1 to ``count``: shape (count, 3, n).
@@ -92,14 +95,18 @@ def _fine_weights(nodes: tuple[float, ...]) -> NDArray[np.float32]:
 
 @compiled
 def _weighted_sums(
-    products: NDArray[np.float32], weights: NDArray[np.float32], place: NDArray[np.int32]
-) -> NDArray[np.float32]:
-    """Sums of pictures (n_products, n, n_y, n_x) by the weights (n, n_places) of each pixel's place."""
-    n_products, count, n_y, n_x = products.shape
-    out = np.zeros((n_products, n_y, n_x), dtype=np.float32)
+    first: int,
+    stop: int,
+    products: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    place: NDArray[np.int32],
+    out: NDArray[np.float32],
+) -> None:
+    """Add pictures (n_products, n, n_y, n_x) by the weights (n, n_places) of each pixel's place to the sums."""
+    n_products, count, _, n_x = products.shape
     share = np.empty(n_x, dtype=np.float32)
     # Line by line: its sums stay in the cache, and weights are looked up once for all products.
-    for i in range(n_y):
+    for i in range(first, stop):
         for v in range(count):
             for j in range(n_x):
                 share[j] = weights[v, place[i, j]]
@@ -107,4 +114,3 @@ def _weighted_sums(
                 line, to = products[p, v, i], out[p, i]
                 for j in range(n_x):
                     to[j] += share[j] * line[j]
-    return out

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import spread
 
 #: Share of the margin over which an image fades out.
 _FADE_SHARE = 0.25
@@ -138,24 +139,26 @@ def enlarged(values: NDArray[Any], step: int, shape: tuple[int, int]) -> NDArray
 
     Values have the shape (m_y, m_x), the result ``shape``, (n_y, n_x).
     """
-    return values[: shape[0], : shape[1]].copy() if step == 1 else _enlarged(values, step, shape)
+    if step == 1:
+        return values[: shape[0], : shape[1]].copy()
+    out = np.empty(shape, dtype=values.dtype)
+    spread(_enlarged, shape[0], values, step, out)
+    return out
 
 
 @compiled
-def _enlarged(values: NDArray[Any], step: int, shape: tuple[int, int]) -> NDArray[Any]:
+def _enlarged(first: int, stop: int, values: NDArray[Any], step: int, out: NDArray[Any]) -> None:
     n_y, n_x = values.shape
-    out = np.empty(shape, dtype=values.dtype)
-    for i in range(shape[0]):
+    line = np.empty(n_x + 1, dtype=values.dtype)
+    for i in range(first, stop):
         above = i // step
         below, down = min(above + 1, n_y - 1), (i % step) / step
-        line = np.empty(n_x + 1, dtype=values.dtype)
         for j in range(n_x):
             line[j] = (1.0 - down) * values[above, j] + down * values[below, j]
         line[n_x] = line[n_x - 1]
         for j in range(n_x):
-            for k in range(min(step, shape[1] - step * j)):
+            for k in range(min(step, out.shape[1] - step * j)):
                 out[i, step * j + k] = (1.0 - k / step) * line[j] + (k / step) * line[j + 1]
-    return out
 
 
 def repeated(values: NDArray[Any], step: int, shape: tuple[int, int]) -> NDArray[Any]:
@@ -171,18 +174,24 @@ def repeated(values: NDArray[Any], step: int, shape: tuple[int, int]) -> NDArray
 def outer_index(values: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[Any]:
     """``values[np.ix_(rows, columns)]`` of an array of shape (n_y, n_x), faster: shape (rows.size, columns.size)."""
     # Bits, so that one form is compiled for all types of a size.
-    bits = _outer_index(values.view(f"u{values.itemsize}"), rows, columns)
+    bits = np.empty((rows.size, columns.size), dtype=f"u{values.itemsize}")
+    spread(_outer_index, rows.size, values.view(bits.dtype), rows, columns, bits)
     return bits.view(values.dtype)
 
 
 @compiled
-def _outer_index(values: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[Any]:
-    out = np.empty((rows.size, columns.size), dtype=values.dtype)
-    for i in range(rows.size):
+def _outer_index(
+    first: int,
+    stop: int,
+    values: NDArray[Any],
+    rows: NDArray[np.intp],
+    columns: NDArray[np.intp],
+    out: NDArray[Any],
+) -> None:
+    for i in range(first, stop):
         line, to = values[rows[i]], out[i]
-        if i > 0 and rows[i] == rows[i - 1]:
+        if i > first and rows[i] == rows[i - 1]:
             to[:] = out[i - 1]
             continue
         for j in range(columns.size):
             to[j] = line[columns[j]]
-    return out

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -76,12 +77,12 @@ class TwinEnergies:
             np.stack([products[0] / np.sqrt(noise[0] * noise[1]), products[1] / noise[0], products[2] / noise[1]])
         )
 
-    @property
+    @cached_property
     def energy(self) -> NDArray[np.float32]:
         """Energy of the texture, 0 for noise alone: shape (...)."""
         return np.asarray(np.maximum(self.products[1] + self.products[2] - np.float32(2.0), np.float32(0.0)))
 
-    @property
+    @cached_property
     def null_energy(self) -> NDArray[np.float32]:
         """Residual of the twins at their own contrast, shape (...): total least squares of a against b.
 
@@ -266,8 +267,8 @@ def foreign_light(regions: Regions, misfit: Misfit, step: int) -> NDArray[np.boo
 
 def is_wide(regions: Regions, step: int) -> NDArray[np.bool_]:
     """Whether each segment is as wide as a window, and no plain object, by number: shape (n_segments + 1,)."""
-    label, widest = regions.grown, np.zeros(len(regions.depths) + 1, dtype=np.float32)
-    np.maximum.at(widest, label.ravel(), across_outlines(label)[1].ravel())
+    label, away = regions.grown, across_outlines(regions.grown)[1]
+    widest = np.array([away[label == number].max(initial=0.0) for number in range(len(regions.depths) + 1)])
     return np.asarray((widest * step >= 0.5 * WINDOW_PX) & ~regions.of_outline & (np.arange(widest.size) > 0))
 
 
