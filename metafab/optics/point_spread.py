@@ -28,6 +28,20 @@ class PsfField:
 
 
 @dataclass(frozen=True)
+class NeighbourMap:
+    """Light of pillars among their own neighbours against that among equal ones, in square blocks of sites.
+
+    With a the amplitudes among their own neighbours, b those among equal ones, and means over a block; NaN without
+    pillars.
+    """
+
+    x_um: FloatArray  #: Shape (n_x,), centres of the blocks.
+    y_um: FloatArray  #: Shape (n_y,), likewise.
+    change: FloatArray  #: Shape (2, n_y, n_x), sqrt(<|a - b|^2> / <|b|^2>) of x and y polarisation.
+    kept: FloatArray  #: Shape (2, n_y, n_x), |<a b*>|^2 / <|b|^2>^2: light in the wave b, over all light of that wave.
+
+
+@dataclass(frozen=True)
 class PsfDetails:
     """Record of how a stack was computed, and its power budget."""
 
@@ -118,6 +132,7 @@ class Psf(Displayed):
             polarisation per unit power of the *other* polarisation at the aperture; None without such a substrate.
         aperture_um: shape (n, 2), (x, y) of points of the aperture that carry equal shares of its power
             (:mod:`metafab.optics.geometry.aperture`); None where the aperture is not known.
+        neighbours: change of the pillars' light by their neighbours, over the aperture; None without a model of them.
     """
 
     depth_m: FloatArray
@@ -133,6 +148,7 @@ class Psf(Displayed):
     details: PsfDetails = PsfDetails()
     ghost: Psf | None = None
     aperture_um: FloatArray | None = None
+    neighbours: NeighbourMap | None = None
 
     def key_figures(self) -> dict[str, str]:
         """Depths, window, orientation, efficiency and error."""

@@ -21,7 +21,7 @@ from metafab.optics.point_spread import Psf, PsfDetails, PsfField
 from metafab.optics.propagation.blocks import reduce_to_target
 from metafab.optics.propagation.image import Window, relative_l2
 from metafab.optics.propagation.pupil import Pupil
-from metafab.optics.sources.oblique import from_direction
+from metafab.optics.sources.oblique import from_direction, neighbour_map_of
 from metafab.optics.sources.source import Source
 
 
@@ -139,6 +139,7 @@ def psf(
             seconds=time.perf_counter() - begun,
         ),
         aperture_um=pyramids[0][0].sub_apertures_um,
+        neighbours=neighbour_map_of(source),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from metafab.core.errors import Fault, InputError
 from metafab.core.storage import hdf5
 from metafab.core.storage.files import plain, untimed
-from metafab.optics.point_spread import Psf, PsfDetails, PsfField
+from metafab.optics.point_spread import NeighbourMap, Psf, PsfDetails, PsfField
 
 #: Units, description and dimensions of datasets by name.
 Datasets: TypeAlias = dict[str, tuple[str, str, tuple[str, ...]]]
@@ -46,6 +46,17 @@ _FIELD_DATASETS = {
     "psf": ("1/um^2", "irradiance at pixel centres over the field of view", (*_FIELD, "y_um", "x_um")),
     "centre_um": ("um", _CENTRE, (*_FIELD, "axis")),
 }
+#: Datasets of the group ``neighbours`` by their attributes in :class:`NeighbourMap`.
+_NEIGHBOUR_DATASETS = {
+    "x_um": ("um", "centres of the blocks of pillars", ("x_um",)),
+    "y_um": ("um", "centres of the blocks of pillars", ("y_um",)),
+    "change": (
+        "1",
+        "rms change of the amplitudes by unlike neighbours, over their rms",
+        ("polarisation", "y_um", "x_um"),
+    ),
+    "kept": ("1", "light in the wave of pillars among equal ones, over its light", ("polarisation", "y_um", "x_um")),
+}
 
 
 def save(psf: Psf, path: Path, *, inputs_sha256: str = "") -> None:
@@ -72,6 +83,8 @@ def put(group: h5py.Group, psf: Psf) -> None:
         hdf5.put(group, "aperture_um", psf.aperture_um, units="um", description=about, dims=("point", "axis"))
     if psf.ghost is not None:
         _put_stack(group.create_group("ghost"), psf.ghost)
+    if psf.neighbours is not None:
+        _put_all(group.create_group("neighbours"), psf.neighbours, _NEIGHBOUR_DATASETS)
 
 
 def _put_stack(group: h5py.Group, psf: Psf) -> None:
@@ -80,7 +93,7 @@ def _put_stack(group: h5py.Group, psf: Psf) -> None:
         _put_all(group.create_group("field"), psf.field, _FIELD_DATASETS)
 
 
-def _put_all(group: h5py.Group, result: Psf | PsfField, datasets: Datasets) -> None:
+def _put_all(group: h5py.Group, result: Psf | PsfField | NeighbourMap, datasets: Datasets) -> None:
     for name, (units, description, dims) in datasets.items():
         data, compress = getattr(result, name), name == "psf"
         hdf5.put(group, name, data, units=units, description=description, dims=dims, compress=compress)
@@ -97,6 +110,7 @@ def load(path: Path | str) -> Psf:
             details=_details(str(file.attrs["details"])),
             ghost=_stack(file, file["ghost"]) if "ghost" in file else None,
             aperture_um=file["aperture_um"][...] if "aperture_um" in file else None,
+            neighbours=_neighbours(file["neighbours"]) if "neighbours" in file else None,
         )
     _check(psf, Path(path))
     return psf
@@ -110,6 +124,10 @@ def _stack(file: h5py.File, group: h5py.Group) -> Psf:
         field=PsfField(**{name: group["field"][name][...] for name in _FIELD_DATASETS}) if "field" in group else None,
         **{name: group[name][...].astype(np.float64) for name in _DATASETS},
     )
+
+
+def _neighbours(group: h5py.Group) -> NeighbourMap:
+    return NeighbourMap(**{name: group[name][...] for name in _NEIGHBOUR_DATASETS})
 
 
 def _details(text: str) -> PsfDetails:
@@ -136,6 +154,9 @@ def _check(psf: Psf, path: Path) -> None:
             faults.append(Fault("ghost/field", expected, "a field in one of them", _REMEDY))
         if not np.all(np.isfinite(psf.ghost.psf)):
             faults.append(Fault("ghost/psf", "finite irradiance", "NaN or infinity", _REMEDY))
+    if (found := psf.neighbours) is not None:
+        blocks = size | {"x_um": found.x_um.size, "y_um": found.y_um.size}
+        faults += _shape_faults("neighbours/", found, _NEIGHBOUR_DATASETS, blocks)
     if psf.depth_m.size == 0 or np.any(np.diff(psf.depth_m) <= 0.0):
         faults.append(Fault("depth_m", "ascending depths", str(psf.depth_m)))
     if psf.aperture_um is not None and not (
@@ -150,7 +171,9 @@ def _check(psf: Psf, path: Path) -> None:
         raise InputError(str(path), faults)
 
 
-def _shape_faults(prefix: str, result: Psf | PsfField, datasets: Datasets, size: dict[str, int]) -> list[Fault]:
+def _shape_faults(
+    prefix: str, result: Psf | PsfField | NeighbourMap, datasets: Datasets, size: dict[str, int]
+) -> list[Fault]:
     faults = []
     for name, (_, _, dims) in datasets.items():
         expected, shape = tuple(size.get(dim, 0) for dim in dims), getattr(result, name).shape

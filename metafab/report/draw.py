@@ -18,6 +18,7 @@ from metafab.core.storage.pictures import read_grey
 from metafab.layout import Outline
 from metafab.optics import Psf
 from metafab.optics.measures.mtf import modulation_transfer
+from metafab.optics.point_spread import NeighbourMap
 from metafab.report.accounts import depths_against_truth, loss_chain
 from metafab.report.figures import accounts, exposure, image, library, mask, phases, psf, study
 from metafab.report.figures.mask import picture_of
@@ -196,6 +197,8 @@ def _study(run: RunFolder) -> Iterator[Plan]:
 
 
 def _fullwave(run: RunFolder) -> Iterator[Plan]:
+    if run.psf is not None and run.psf.neighbours is not None:
+        yield from _neighbours(run.psf.neighbours)
     patch = run.patch
     if patch is None:
         return
@@ -212,6 +215,23 @@ def _fullwave(run: RunFolder) -> Iterator[Plan]:
     ):
         paint = partial(mask.patch_amplitude, patch.full_wave - field, *places, title=title, largest=largest)
         yield Plan(f"patch_difference_{name}", title, paint, (4.0, 3.4), PICTURE)
+
+
+def _neighbours(found: NeighbourMap) -> Iterator[Plan]:
+    """Maps of the light that neighbours change and keep, each on one scale for both polarisations."""
+    for name, label, values in (
+        ("change", "rms change / rms field", found.change),
+        ("kept", "light kept in the wave", found.kept),
+    ):
+        # Blocks on the rim hold few pillars and do not set the scale.
+        low, high = np.nanpercentile(values, (2.0, 98.0)) if np.isfinite(values).any() else (0.0, 1.0)
+        for p, of_light in zip(POLARISATIONS, values, strict=True):
+            title = f"{p} polarised"
+            paint = partial(
+                mask.neighbour_map, of_light, found.x_um, found.y_um, label=label, title=title, scale=(low, high)
+            )
+            text = f"Over the aperture, {label}, among unlike neighbours, {title}"
+            yield Plan(f"neighbours_{name}_{p}", text, paint, (4.0, 3.4), PICTURE)
 
 
 def _comparison(run: RunFolder) -> Iterator[Plan]:

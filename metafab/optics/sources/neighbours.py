@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.conventions import ComplexArray
+from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import in_order, open_threads
 from metafab.core.storage.scratch import release, scratch
@@ -23,23 +23,28 @@ from metafab.library.library import Library
 from metafab.library.neighbours import require_neighbours
 from metafab.library.neighbours.windows import HALO_SITES, NeighbourTables
 from metafab.library.use.amplitudes import half_space_indices
+from metafab.optics.point_spread import NeighbourMap
 from metafab.optics.sources.source import FieldTile, WrittenField, written_field
 
 #: Sites of a tile along x and y. It is solved with 24 more sites on all four sides, which cost a sixth more time.
 _TILE_SITES = 512
 #: Most bytes of amplitudes that are kept, those of a lens of 4 mm at the paper's period. Beyond, every pass solves.
 _MOST_KEPT_BYTES = 1 << 31
+#: Most blocks along a side of the map of the change by neighbours, and least sites of a block, about a period of Shen's
+#: lens. Blocks divide tiles.
+_MAP_BLOCKS, _BLOCK_SITES = 80, 16
 #: Largest kept amplitudes that stay in memory, bytes.
 _IN_MEMORY_BYTES = 1 << 26
 
 
 @dataclass
 class _Kept:
-    """Amplitudes of the first complete pass over the tiles."""
+    """Results of the first complete pass over the tiles."""
 
     #: Single precision, shape (2, n_y, n_x), in a file if large; None before that pass.
     amplitudes: NDArray[np.complex64] | None = None
     places: list[tuple[int, int]] = field(default_factory=list)  #: (row, column) of the tiles with pillars.
+    change: NeighbourMap | None = None  #: Change of the light by neighbours; None before that pass.
 
 
 @dataclass(frozen=True)
@@ -62,22 +67,30 @@ class NeighbourField:
         """Pillars of the mask."""
         return self.lone.pillars
 
+    @property
+    def change(self) -> NeighbourMap | None:
+        """Change of the light by the neighbours; None before the first complete pass over the tiles."""
+        return self._kept.change
+
     def tiles(self) -> Iterator[FieldTile]:
         """Return the tiles with pillars, solved on the first pass; the number of threads does not change amplitudes."""
         if self._kept.amplitudes is not None:
             yield from self._kept_tiles(self._kept.amplitudes)
             return
-        amplitudes = self._scratch()
+        amplitudes, block = self._scratch(), self._block_sites()
+        sums = np.zeros((4, 2, *(-(-count // block) for count in self.lattice.shape)))
         places: list[tuple[int, int]] = []
         with open_threads(self.workers) as threads:
-            for tile in in_order(threads, self._tile, size_windows(self.pillars, HALO_SITES), ahead=4):
+            for tile, parts in in_order(threads, self._tile, size_windows(self.pillars, HALO_SITES), ahead=4):
+                (row, column), (height, width) = (tile.row // block, tile.column // block), parts.shape[2:]
+                sums[:, :, row : row + height, column : column + width] = parts
                 if amplitudes is not None:
                     amplitudes[_sites(tile.row, tile.column)] = tile.amplitudes
                     if places and places[-1][0] != tile.row:
                         release(amplitudes)
                     places.append((tile.row, tile.column))
                 yield tile
-        self._kept.amplitudes, self._kept.places = amplitudes, places
+        self._kept.amplitudes, self._kept.places, self._kept.change = amplitudes, places, self._map(sums)
 
     def _scratch(self) -> NDArray[np.complex64] | None:
         """Array for the amplitudes of all sites; None if they are too many, or the disk is too full for them."""
@@ -96,16 +109,34 @@ class NeighbourField:
                 last = row
             yield FieldTile(row, column, amplitudes=amplitudes[_sites(row, column)].astype(np.complex128))
 
-    def _tile(self, window: tuple[int, int, SizeIndexArray]) -> FieldTile:
+    def _block_sites(self) -> int:
+        """Sites along a side of a block of the map, a power of two."""
+        sites = max(_BLOCK_SITES, -(-max(self.lattice.shape) // _MAP_BLOCKS))
+        return min(_TILE_SITES, 1 << (sites - 1).bit_length())
+
+    def _map(self, sums: FloatArray) -> NeighbourMap:
+        """Map of the change from the sums of :func:`_block_sums` over all blocks."""
+        change, lone, real, imaginary = sums
+        with np.errstate(invalid="ignore"):
+            shares = np.sqrt(change / lone), (real**2 + imaginary**2) / lone**2
+        axes = self.lattice.x_um(), self.lattice.y_um()
+        block = self._block_sites()
+        x_um, y_um = (np.array([part.mean() for part in np.split(at, range(block, at.size, block))]) for at in axes)
+        return NeighbourMap(x_um, y_um, *shares)
+
+    def _tile(self, window: tuple[int, int, SizeIndexArray]) -> tuple[FieldTile, FloatArray]:
+        """Amplitudes of a tile, and the sums of its blocks."""
         row, column, size_index = window
         inner = size_index[HALO_SITES:-HALO_SITES, HALO_SITES:-HALO_SITES]
-        amplitudes = np.empty((2, *inner.shape), dtype=np.complex128)
+        lone = np.ascontiguousarray(np.moveaxis(self.lone.table[inner], -1, 0))
+        amplitudes = lone.copy()
         for polarisation in (0, 1):
-            corrections = self.tables.corrections(size_index, polarisation)
-            amplitudes[polarisation] = self.lone.table[inner, polarisation]
-            amplitudes[polarisation] += self.power_factor[polarisation] * corrections
+            amplitudes[polarisation] += self.power_factor[polarisation] * self.tables.corrections(
+                size_index, polarisation
+            )
         # Rounded as they are kept, so that every pass gives the same amplitudes.
-        return FieldTile(row, column, amplitudes=_passive(amplitudes).astype(np.complex64).astype(np.complex128))
+        amplitudes = _passive(amplitudes).astype(np.complex64).astype(np.complex128)
+        return FieldTile(row, column, amplitudes=amplitudes), _block_sums(amplitudes, lone, self._block_sites())
 
 
 def neighbour_field(pillars: PillarMap, library: Library, workers: int | None = None) -> NeighbourField:
@@ -168,6 +199,18 @@ def _bands(pillars: PillarMap, sites: int, halo: int) -> Iterator[tuple[int, Siz
                 columns = slice(tile.column, tile.column + tile.size_index.shape[1])
                 band[top - first : bottom - first, columns] = tile.size_index[top - tile.row : bottom - tile.row]
         yield row, band
+
+
+def _block_sums(amplitudes: ComplexArray, lone: ComplexArray, block: int) -> FloatArray:
+    """Sums over blocks of |a - b|^2, |b|^2, Re a b* and Im a b*, shape (4, 2, blocks_y, blocks_x).
+
+    ``amplitudes`` a and ``lone`` b have the shape (2, n_y, n_x).
+    """
+    product = amplitudes * lone.conj()
+    parts = np.array([np.abs(amplitudes - lone) ** 2, np.abs(lone) ** 2, product.real, product.imag])
+    for axis in (2, 3):
+        parts = np.add.reduceat(parts, np.arange(0, parts.shape[axis], block), axis=axis)
+    return parts
 
 
 def _passive(amplitudes: ComplexArray) -> ComplexArray:

@@ -11,6 +11,7 @@ from metafab.core.errors import InputError
 from metafab.layout.pillars import Lattice, PillarMap
 from metafab.library.use.oblique import ObliqueChange, powers
 from metafab.optics.geometry.imaging import FieldGrid, Tangent
+from metafab.optics.point_spread import NeighbourMap
 from metafab.optics.sources.neighbours import NeighbourField, size_windows
 from metafab.optics.sources.source import ApodisedField, FieldTile, Source, WrittenField
 
@@ -72,6 +73,17 @@ def oblique_of(source: Source) -> ObliqueField | None:
     if isinstance(source, ApodisedField):
         return oblique_of(source.source)
     return source if isinstance(source, ObliqueField) else None
+
+
+def neighbour_map_of(source: Source) -> NeighbourMap | None:
+    """Return what neighbours change in the light of a source, without stop and apodisation, once all tiles were read.
+
+    None for a source without a model of neighbours.
+    """
+    if isinstance(source, ApodisedField):
+        return neighbour_map_of(source.source)
+    pillars = source.straight if isinstance(source, ObliqueField) else source
+    return pillars.change if isinstance(pillars, NeighbourField) else None
 
 
 def from_direction(source: Source, tangent: Tangent, grid: FieldGrid | None) -> Source:

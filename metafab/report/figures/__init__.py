@@ -22,7 +22,7 @@ if not TYPE_CHECKING:
             "metafab.report.figures.exposure": "process_window size_histogram size_map",
             "metafab.report.figures.image": "confidence contrast depth depth_against_truth intensity raw_frame",
             "metafab.report.figures.library": "coverage error_map phase_map sensitivity_map transmittance_map",
-            "metafab.report.figures.mask": "fill_map patch_amplitude patch_phase pillar_outlines",
+            "metafab.report.figures.mask": "fill_map neighbour_map patch_amplitude patch_phase pillar_outlines",
             "metafab.report.figures.phases": "aperture_phase painted_picture wanted_picture",
             "metafab.report.figures.psf": (
                 "depth_bias distortion modulation orientation over_field pair_over_depth peak wavefront_map"

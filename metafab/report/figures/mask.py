@@ -105,6 +105,24 @@ def patch_amplitude(
     return picture(axes, np.abs(field), extent, "field over incident field", title, **scale)
 
 
+def neighbour_map(
+    values: FloatArray,
+    x_um: FloatArray,
+    y_um: FloatArray,
+    axes: Axes,
+    label: str,
+    title: str,
+    scale: tuple[float, float],
+) -> Axes:
+    """Draw one of the maps of :class:`metafab.optics.point_spread.NeighbourMap`, shape (n_y, n_x).
+
+    ``x_um`` and ``y_um`` are the centres of its blocks, ``label`` names the values, ``scale`` is (lowest, highest).
+    """
+    return picture(
+        axes, values, _extent(x_um, y_um), label, title, cmap=SHARE_MAP, vmin=scale[0], vmax=scale[1], bar=INK
+    )
+
+
 def _extent(x_um: FloatArray, y_um: FloatArray) -> Extent:
     """Extent of the patch, half a period beyond the outermost sites."""
     half_x, half_y = (0.5 * (axis[-1] - axis[0]) / max(1, axis.size - 1) for axis in (x_um, y_um))

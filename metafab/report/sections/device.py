@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from html import escape
 
+from metafab.core.conventions import POLARISATIONS
 from metafab.core.figures import MappingFigures, OrdersFigures
 from metafab.exposure import SizeErrors
 from metafab.fullwave import Coupling, Patch
+from metafab.optics.point_spread import NeighbourMap
 from metafab.report import html
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
@@ -193,13 +196,27 @@ def _printed(name: str, errors: SizeErrors) -> list[str]:
 
 
 def fullwave(run: RunFolder, drawn: Drawn) -> str:
-    """Full-wave simulations of repeats, of rows and of a patch of the mask; empty without any."""
+    """Light of unlike neighbours: the model's maps, and full-wave simulations of parts of the mask; empty without."""
+    maps = _neighbour_maps(run.psf.neighbours, drawn) if run.psf is not None and run.psf.neighbours is not None else ""
     rows = "" if run.coupling is None else _rows(run.coupling)
     patch = _patch(run.patch, drawn) if run.patch is not None else ""
     orders = "" if run.summary.orders is None else _orders(run.summary.orders, run.summary.seconds.get("orders", 0.0))
-    if not rows and not patch and not orders:
+    if not (maps or rows or patch or orders):
         return ""
-    return html.section("fullwave", "Coupling of neighbours, by full-wave simulation", orders, rows, patch)
+    simulated = ", by full-wave simulation" if rows or patch or orders else ""
+    return html.section("fullwave", f"Coupling of neighbours{simulated}", maps, orders, rows, patch)
+
+
+def _neighbour_maps(found: NeighbourMap, drawn: Drawn) -> str:
+    pairs = [html.figures(drawn, *(f"neighbours_{kind}_{p}" for p in POLARISATIONS)) for kind in ("change", "kept")]
+    side_um = float(found.x_um[1] - found.x_um[0]) if found.x_um.size > 1 else math.nan
+    caption = (
+        f"Light of the pillars among their own neighbours, by the library's model, against that among equal ones, in "
+        f"blocks of {side_um:.3g} µm. Change: rms of the difference over the rms among equal ones. Kept: light in the "
+        "wave of pillars among equal ones, over its light; sizes that were chosen among neighbours leave that wave on "
+        "purpose."
+    )
+    return "".join(pairs) + html.paragraph(escape(caption), "caption")
 
 
 def _orders(figures: OrdersFigures, seconds: float) -> str:

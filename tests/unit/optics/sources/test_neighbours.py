@@ -20,7 +20,8 @@ from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.library.use.oblique import ObliqueChange, powers
 from metafab.optics import Source, neighbour_field, written_field
 from metafab.optics.sources import neighbours
-from metafab.optics.sources.oblique import ObliqueField
+from metafab.optics.sources.oblique import ObliqueField, neighbour_map_of
+from metafab.optics.sources.source import ApodisedField
 
 SPAN = (100.0, 250.0)
 
@@ -75,7 +76,7 @@ def test_tiles_and_workers_do_not_change_the_field(library: Library, monkeypatch
     index[:20, :30] = 0
     whole = _whole(neighbour_field(_map(index, 90), library, workers=1))
     assert np.array_equal(whole == 0.0, np.broadcast_to(index == 0, whole.shape))
-    monkeypatch.setattr(neighbours, "_TILE_SITES", 40)
+    monkeypatch.setattr(neighbours, "_TILE_SITES", 48)
     tiled = _whole(neighbour_field(_map(index, 24), library, workers=1))
     assert np.array_equal(tiled, _whole(neighbour_field(_map(index, 24), library, workers=3)))
     lone = written_field(_map(index, 90), library).table[index].transpose(2, 0, 1)
@@ -89,14 +90,32 @@ def test_the_first_pass_keeps_the_field_for_those_that_follow(
     library: Library, monkeypatch: pytest.MonkeyPatch, in_memory_bytes: int
 ) -> None:
     index = np.random.default_rng(4).integers(0, 41, (30, 70)).astype(np.uint16)
-    index[:, 20:40] = 0  # a tile without pillars
-    monkeypatch.setattr(neighbours, "_TILE_SITES", 20)
+    index[:, 16:32] = 0  # a tile without pillars
+    monkeypatch.setattr(neighbours, "_TILE_SITES", 16)
     monkeypatch.setattr(neighbours, "_IN_MEMORY_BYTES", in_memory_bytes)
     field = neighbour_field(_map(index, 30), library)
     next(field.tiles())  # a pass that is given up keeps nothing
     whole = _whole(field)
     monkeypatch.setattr(neighbours, "_passive", None)  # no tile can be solved any more
     assert np.array_equal(_whole(field), whole)
+
+
+def test_the_map_sums_blocks_of_the_field(library: Library, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Over tiles, with NaN where no pillar stands, and behind a stop."""
+    monkeypatch.setattr(neighbours, "_TILE_SITES", 32)
+    index = np.random.default_rng(1).integers(1, 41, (50, 70)).astype(np.uint16)
+    index[16:32, 32:48] = 0
+    field = neighbour_field(_map(index, 50), library, workers=2)
+    assert neighbour_map_of(field) is None
+    among, lone = _whole(field)[1], written_field(_map(index, 50), library).table[index, 1]
+    found = neighbour_map_of(ApodisedField(field, lambda x, y: np.ones((y.size, x.size))))
+    assert found is not None and found.change.shape == (2, 4, 5)
+    assert np.isnan(found.change[:, 1, 2]).all() and np.isfinite(found.kept).sum() == 2 * 19
+    block = np.s_[32:48, 64:]  # at an end
+    power = np.sum(np.abs(lone[block]) ** 2)
+    assert found.change[1, 2, 4] == pytest.approx(np.sqrt(np.sum(np.abs(among - lone)[block] ** 2) / power))
+    assert found.kept[1, 2, 4] == pytest.approx(np.abs(np.vdot(lone[block], among[block]) / power) ** 2)
+    assert (found.x_um[4], found.y_um[2]) == pytest.approx((field.lattice.x_um()[64:].mean(), 0.35 * (39.5 - 24.5)))
 
 
 def test_a_periodic_mask_has_the_field_of_its_period(library: Library) -> None:

@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metafab import fullwave, report
+from metafab import fullwave, optics, report
 from metafab.core.figures import OrderFigures, OrdersFigures
 from metafab.core.storage.files import file_sha256
 from metafab.fullwave.coupling import CouplingRow
+from metafab.optics.point_spread import NeighbourMap
 from metafab.report.figures import mask as figures
 from metafab.report.style import panel
 from metafab.steps.summary import RunSummary
+from tests.closed_form_run import turning_psf
 
 
 @pytest.fixture
@@ -53,6 +55,20 @@ def test_the_page_shows_both_fields_and_their_differences(patch: fullwave.Patch,
     # Amplitudes: 0.05 brighter than the library, as bright as the lone pillars.
     assert patch.against_library.amplitude_rms == pytest.approx(0.05)
     assert "0.05" in text
+
+
+def test_the_page_maps_the_change_by_neighbours(tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text("{}")
+    change = np.full((2, 3, 4), 0.1)
+    change[:, 0, 0] = np.nan
+    maps = NeighbourMap(5.6 * np.arange(4), 5.6 * np.arange(3), change, 1.0 - change)
+    optics.save(replace(turning_psf(), neighbours=maps), tmp_path / "psf.h5")
+    text = report.write(tmp_path).read_text(encoding="utf-8")
+    assert "in blocks of 5.6 µm" in text and "by full-wave simulation" not in text
+    drawn = {path.stem for path in (tmp_path / "figures").glob("neighbours_*.png")}
+    assert drawn == {f"neighbours_{kind}_{p}" for kind in ("change", "kept") for p in "xy"}
+    found = optics.load(tmp_path / "psf.h5").neighbours
+    assert found is not None and np.array_equal(found.kept, maps.kept, equal_nan=True)
 
 
 def test_rows_are_shown_if_they_are_of_this_mask(tmp_path: Path) -> None:
