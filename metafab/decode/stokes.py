@@ -24,7 +24,6 @@ from metafab.decode.matching.depth import window_depth
 from metafab.decode.matching.levels import Levels
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.planes import Cells, Plane, fit_plane
-from metafab.decode.segmentation.regions import layer_separation_per_m
 from metafab.decode.segmentation.segments import (
     assign_layers,
     connected_segments,
@@ -33,6 +32,7 @@ from metafab.decode.segmentation.segments import (
     interior,
     segment_depth,
 )
+from metafab.decode.segmentation.surfaces import layer_separation_per_m
 from metafab.optics.polarisation_states import StokesPsf
 
 #: Candidate depths of the cost volume, and depths at which the images are inverted.

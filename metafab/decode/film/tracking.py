@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.registration.downsampling import relative_slices
+from metafab.decode.segmentation.assignment import measured_again
 from metafab.decode.segmentation.planes import Cells, Plane, distinct_planes
-from metafab.decode.segmentation.regions import measured_again
 from metafab.decode.segmentation.segments import Regions, SegmentDepth
 
 Part = tuple[slice, slice]

@@ -32,8 +32,9 @@ from metafab.decode.registration.downsampling import relative_slices, repeated
 from metafab.decode.registration.pedestal import without_pedestal
 from metafab.decode.registration.twins import extract_part
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.regions import find_regions, layer_separation_per_m, near_texture
+from metafab.decode.segmentation.regions import find_regions, near_texture
 from metafab.decode.segmentation.segments import Regions
+from metafab.decode.segmentation.surfaces import layer_separation_per_m
 
 #: Share of changed pixels from which a whole frame is decoded anew, with levels of its own.
 _MOST_CHANGED = 0.6

@@ -10,5 +10,7 @@
 - ``fit``             null energy of the twins by place: whether a segment explains its pixels; continuous surfaces
 - ``objects``         objects that the segments of textured pixels miss: small ones, plain ones
 - ``segments``        layers of depth, connected segments, the depth of a segment; Regions: all segments of a frame
-- ``regions``         CostVolume and PixelDepth -> Regions: the whole way
+- ``assignment``      pixels assigned to planes: segments and their depths
+- ``surfaces``        the layers, planes or continuous surfaces that fit the pixels' depths best
+- ``regions``         CostVolume and PixelDepth -> Regions: the whole way, with bars, small objects, outlines, doubt
 """

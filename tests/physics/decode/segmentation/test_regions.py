@@ -9,9 +9,10 @@ from metafab.camera import RawFrame, capture, draws
 from metafab.core.parallel.progress import silent
 from metafab.decode import Decoder, decode
 from metafab.decode.evaluation import overlap
+from metafab.decode.segmentation.assignment import measured_depth
 from metafab.decode.segmentation.planes import Cells, Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.regions import find_regions, measured_depth, textured_pixel_depth, without_bright_light
+from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth, without_bright_light
 from metafab.decode.segmentation.segments import Regions, interior
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject

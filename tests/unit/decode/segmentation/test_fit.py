@@ -16,6 +16,7 @@ from metafab.decode.segmentation.fit import (
     across_outlines,
     curved_surface,
     fitting_segments,
+    foreign_light,
     misfit_at,
 )
 from metafab.decode.segmentation.planes import Plane
@@ -145,3 +146,16 @@ def test_a_quadric_moves_with_its_picture() -> None:
     surface = Plane(2.5, (1e-3, -5e-4), (30.0, 45.0), (-8e-5, 3e-5, -6e-5))
     assert surface.moved(-10, -20).over((40, 50)) == pytest.approx(surface.over((60, 90))[10:50, 20:70])
     assert Plane(2.5, curvature_per_m=(1e-5, 0.0, 0.0)).tilted and not Plane(2.5, (1e-3, 0.0)).curved
+
+
+def test_only_surfaces_wider_than_a_window_have_outlines_that_excuse_light() -> None:
+    """Light of another depth beside a narrow bar stands in the wall; that beside a wide object is the object's."""
+    shape = (96, 120)
+    label = np.ones(shape, dtype=np.int32)
+    label[:, 20:24], label[:, 80:] = 2, 3
+    depths = tuple(SegmentDepth(one, 1e-3, 0.9, 1.0, Plane(one)) for one in (1.7, 3.0, 3.4))
+    misfit = Misfit(np.full(shape, 20.0, dtype=np.float32), np.full(shape, 0.2, dtype=np.float32), 0.01)
+    foreign = foreign_light(Regions(3, depths, label, label, label), misfit, 3)
+    assert foreign[:, :20].all() and foreign[:, 24:70].all()
+    assert not foreign[:, 20:24].any() and not foreign[:, 75:85].any()
+    assert foreign[:, 90:].all()

@@ -158,3 +158,16 @@ def test_layers_lie_between_the_bins_of_the_histogram(nearest: float) -> None:
     vergence[0, 0] = nearest
     pixels = PixelDepth(vergence, np.full(vergence.shape, 0.003), np.ones(vergence.shape, dtype=bool))
     assert depth_layers(pixels, 0.1)[0] == pytest.approx(2.0, abs=0.003)
+
+
+def test_bands_of_a_tilted_segment_hold_its_depth() -> None:
+    label = np.ones((40, 60), dtype=np.int32)
+    label[:, 40:] = 2
+    road, wall = Plane(2.4, (5e-3, 0.0), (20.0, 20.0)), Plane(3.0)
+    depths = tuple(SegmentDepth(p.vergence_per_m, 1e-3, 0.9, 1.0, p) for p in (road, wall))
+    regions = Regions(2, depths, label, label, label)
+    bands, vergence = regions.bands(label, 0.04)
+    assert np.abs(vergence[bands - 1] - regions.vergence_per_m(label)).max() <= 0.02 + 1e-12
+    assert vergence.size == 7  # 0.2 over 40 rows, and the wall
+    flat = Regions(1, depths[1:], label, label, label)
+    np.testing.assert_array_equal(flat.bands(label, 0.04)[0], label)

@@ -1,0 +1,181 @@
+"""Assignment of pixels to planes: the connected segments of each, and the depth of each segment from its cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_opening
+
+from metafab.core.numeric.distance import distance
+from metafab.core.parallel.executor import kept_threads
+from metafab.decode.confidence import LARGEST_ERROR
+from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.depth import PixelDepth
+from metafab.decode.segmentation.fit import surface_per_m
+from metafab.decode.segmentation.planes import Cells, Plane, cell_side, fit_plane, ransac_planes
+from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
+from metafab.decode.segmentation.segments import (
+    Regions,
+    SegmentDepth,
+    assign_layers,
+    connected_segments,
+    depth_layers,
+    fragment_targets,
+    grown,
+    interior,
+    is_textured,
+    segment_depth,
+    with_error_of_straight,
+)
+
+#: Side of a cell of continuous surfaces, frame pixels.
+_SURFACE_CELL_PX = 18
+#: Most layers that such a surface crosses within a cell.
+_SURFACE_STEEPEST = 6.0
+#: Most planes of such surfaces.
+_MOST_SURFACES = 24
+#: Most cells of a frame whose surfaces are sought: 0.4 GB, which grow with its square, and 4 s of processor time.
+#: Frames of 1.0 to 1.3 million pixels have 4000.
+_MOST_SURFACE_CELLS = 4000
+#: Distance from an outline up to which a window, with the pair's main lobes, contains it; frame pixels.
+OUTLINE_REACH_PX = 40
+#: Pixels below which a segment may be the outline of a plain surface: twice a window.
+NARROW_PX = 2 * WINDOW_PX**2
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """The inputs that every assignment of a frame's pixels shares."""
+
+    prepared: PreparedFrame  #: The frame.
+    volume: CostVolume  #: Its cost volume.
+    pixels: PixelDepth  #: Depth of each pixel.
+    separation_per_m: float  #: Vergence by which layers differ.
+    outline_rounds: int  #: Most rounds of the refinement of outlines.
+
+    @property
+    def layers(self) -> list[Plane]:
+        """Layers of one depth at the peaks of the pixels' depths."""
+        return [Plane(vergence) for vergence in depth_layers(self.pixels, self.separation_per_m).tolist()]
+
+    def of_planes(self, planes: list[Plane]) -> Regions:
+        """Segments of planes, and of the depths of pixels that clearly lie on none of them.
+
+        Such a depth may equal that of a tilted plane elsewhere, where it must not take the plane's pixels. It needs a
+        patch as large as a window: noise and outlines are smaller.
+        """
+        pixels, window = self.pixels, self.prepared.window
+        shape = pixels.claimed.shape
+        away = np.min([np.abs(pixels.vergence_per_m - plane.over(shape)) for plane in planes], axis=0)
+        doubt = 0.5 * self.separation_per_m + 2.0 * pixels.relative_error * pixels.vergence_per_m
+        off_planes = binary_opening(pixels.claimed & (away > doubt), np.ones((window, window), dtype=bool))
+        depths = depth_layers(replace(pixels, claimed=off_planes), self.separation_per_m).tolist()
+        near = distance(off_planes) <= window
+        allowed = np.stack([np.ones(shape, dtype=bool)] * len(planes) + [near] * len(depths))
+        return self.of_layers(planes + [Plane(vergence) for vergence in depths], allowed)
+
+    def of_surfaces(self) -> Regions | None:
+        """Segments of the planes across a surface of semi-global matching; None without any, or of too many cells."""
+        prepared, volume, separation = self.prepared, self.volume, self.separation_per_m
+        step = prepared.downsampling.step
+        cells = Cells.of(volume, self.pixels.claimed & prepared.lit, step, _SURFACE_CELL_PX)
+        if cells.row.size > _MOST_SURFACE_CELLS:
+            return None
+        surface = surface_per_m(prepared, volume)
+        at = np.rint(cells.row).astype(np.intp), np.rint(cells.column).astype(np.intp)
+        error = np.full(at[0].shape, 0.1 * separation)
+        cells = replace(cells, vergence_per_m=surface[at], error_per_m=error)
+        side = cell_side(step, _SURFACE_CELL_PX)
+        planes = ransac_planes(cells, side, separation, _SURFACE_STEEPEST, _MOST_SURFACES)
+        if not planes:
+            return None
+        of_surface = replace(self, pixels=replace(self.pixels, vergence_per_m=surface))
+        return replace(of_surface.of_planes(planes), continuous=True)
+
+    def of_layers(self, layers: list[Plane], allowed: NDArray[np.bool_] | None = None) -> Regions:
+        """Segments of layers: connected pixels of one plane, where ``allowed`` (n_layers, n_y, n_x)."""
+        prepared, volume, step = self.prepared, self.volume, self.prepared.downsampling.step
+        layer = assign_layers(
+            volume, layers, self.pixels, self.separation_per_m, step, prepared.lit, allowed, self.outline_rounds
+        )
+        segments = connected_segments(layer, prepared.lit & ~prepared.plain, WINDOW_PX, step)
+        parts, inside, plain = self._textured(segments)
+        count = int(parts.max(initial=0))
+        number, sizes = np.zeros(count + 1, dtype=np.int32), np.bincount(inside.ravel(), minlength=count + 1)
+        depths: list[SegmentDepth] = []
+        light = prepared.inner.sum(axis=0)
+        for part, cells in enumerate(Cells.of_each(volume, inside, count, step), start=1):
+            depth = measured_depth(volume, cells, layers[int(np.median(layer[parts == part])) - 1])
+            if depth is not None and sizes[part] * step**2 < NARROW_PX:
+                depth = with_error_of_straight(depth, light, inside == part, volume.samples)
+            if depth is not None and depth.relative_error < LARGEST_ERROR:
+                depths.append(replace(depth, pixels=float(sizes[part])))
+                number[part] = len(depths)
+        label, inner = number[parts], number[inside]
+        wide = grown(label, WINDOW_PX / step)
+        if plain.any():
+            wide[(distance(plain) <= WINDOW_PX / step) & (label == 0)] = 0
+        wide[prepared.plain] = 0
+        target = fragment_targets(depths, wide)
+        stays = target == np.arange(target.size)
+        renumbered = (np.cumsum(stays) - 1).astype(np.int32)
+        kept = tuple(depth for depth, stay in zip(depths, stays[1:].tolist(), strict=True) if stay)
+        # Depth and contrast are measured without the fragments that are merged into a segment.
+        inner = np.where(stays, renumbered, 0)[inner].astype(np.int32)
+        merged = renumbered[target]
+        return Regions(len(layers), kept, merged[label], inner, merged[wide])
+
+    def _textured(self, segments: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
+        """The segments that show texture, numbered anew from 1, their interiors, and the pixels of the others."""
+        step, texture, count = self.prepared.downsampling.step, self.prepared.textured, 0
+        label, inner = np.zeros((2, *segments.shape), dtype=np.int32)
+        plain = np.zeros(segments.shape, dtype=bool)
+
+        def interior_of(number: int) -> NDArray[np.bool_] | None:
+            if is_textured(segments == number, texture, OUTLINE_REACH_PX // step):
+                return interior(segments, number, step)
+            return None
+
+        numbers = range(1, int(segments.max(initial=0)) + 1)
+        with kept_threads() as pool:
+            for number, inside in zip(numbers, pool.map(interior_of, numbers), strict=True):
+                if inside is None:
+                    plain |= segments == number
+                    continue
+                count += 1
+                label[segments == number], inner[inside] = count, count
+        return label, inner, plain
+
+
+def measured_depth(volume: CostVolume, cells: Cells, layer: Plane) -> SegmentDepth | None:
+    """Depth of a segment from its cells: tilted if they, or else its layer, are tilted; None if it has none.
+
+    A curved layer keeps its shape.
+    """
+    plane = layer if layer.curved else fit_plane(cells) or layer
+    if plane.tilted and cells.pixels.size:
+        depth = segment_depth(volume, cells.sheared(volume, plane), float(cells.pixels.sum()), plane)
+    else:
+        depth = segment_depth(volume, cells.whole, float(cells.size))
+    return depth if depth.relative_error < LARGEST_ERROR and depth.correlation > 0.0 else None
+
+
+def measured_again(volume: CostVolume, cells: Cells, before: SegmentDepth, pixels: float, step: int) -> SegmentDepth:
+    """Depth of a segment from other cells, or the depth before if they have none.
+
+    Args:
+        volume: cost volume that holds the cells.
+        cells: of the segment.
+        before: depth of the segment; its factor of straight structure stays while the segment is narrow.
+        pixels: downsampled pixels of the segment.
+        step: frame pixels from one downsampled pixel to the next.
+    """
+    if before.of_outline:
+        return replace(before, pixels=pixels)
+    factor = before.error_factor if pixels * step**2 < NARROW_PX else 1.0
+    measured = measured_depth(volume, cells, before.plane)
+    if measured is None or not measured.relative_error * factor < LARGEST_ERROR:
+        return replace(before, pixels=pixels)
+    return replace(measured, relative_error=measured.relative_error * factor, pixels=pixels, error_factor=factor)

@@ -1,0 +1,200 @@
+"""Surfaces of a frame: the layers, planes or continuous surfaces that fit the depths of its pixels best."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.depth import PixelDepth
+from metafab.decode.segmentation.assignment import Segmentation
+from metafab.decode.segmentation.fit import curved_surface, explains_better, plane_misfit
+from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, ransac_planes
+from metafab.decode.segmentation.prepared_frame import PreparedFrame
+from metafab.decode.segmentation.segments import Regions, adjacency, depth_layers
+
+#: Largest separation of layers, as a share of the calibrated range of vergence.
+_LAYER_SHARE = 1.0 / 24.0
+#: Separation of layers in median standard errors of the pixels' depths, which scatter by 1.5 times what they state.
+_SEPARATION_ERRORS = 2.0
+#: Standard errors, and relative difference, within which adjacent segments have one depth.
+_ONE_DEPTH_ERRORS, _ONE_DEPTH = 2.5, 1.5e-3
+#: Ratio of misfits below which finer layers replace coarser ones, or planes.
+_CLEARLY_BETTER = 0.93
+#: Misfit of pixels' depths to planes fitted to their segments from which segments are sought on continuous surfaces:
+#: scenes of flat objects and photographs on them have 1.0 to 2.4, a steep ground 3.1, the Middlebury motorcycle 6.
+_UNFIT = 2.6
+#: Most downsampled pixels of a frame whose continuous surfaces are sought. A pixel takes a kilobyte.
+_MOST_SURFACE_PIXELS = 400_000
+#: Share of the claimed pixels that is kept at least without those about saturated or invalid ones.
+_LEAST_UNSPOILED = 0.3
+#: Parameters of a plane that are fitted to a segment's pixels: its depth, or its depth and slopes.
+_MOVED, _TILTED = 1, 3
+#: Number of layers from which they may be stripes of a tilted surface.
+_MANY_LAYERS = 5
+#: A segment is a stripe of a plane if its pixels' depths differ at most this many times as much from the plane.
+_STRIPE_RATIO = 1.25
+
+
+def layer_separation_per_m(volume: CostVolume) -> float:
+    """Largest vergence by which layers differ: that of tilted planes, and of segments in successive frames."""
+    return float(volume.vergences_per_m[-1] - volume.vergences_per_m[0]) * _LAYER_SHARE
+
+
+def noise_separation_per_m(volume: CostVolume, pixels: PixelDepth) -> float:
+    """Vergence by which the noise of the pixels' depths lets layers be told apart."""
+    largest = layer_separation_per_m(volume)
+    if not pixels.claimed.any():
+        return largest
+    error = float(np.median((pixels.relative_error * pixels.vergence_per_m)[pixels.claimed]))
+    return float(np.clip(_SEPARATION_ERRORS * error, 0.02 * largest, largest))
+
+
+def unspoiled(prepared: PreparedFrame, pixels: PixelDepth) -> PixelDepth:
+    """Pixel depths without those about saturated or invalid pixels, which err by more than their noise.
+
+    All of them if few others are left.
+    """
+    whole = pixels.claimed & ~prepared.spoiled
+    return replace(pixels, claimed=whole) if whole.sum() > _LEAST_UNSPOILED * pixels.claimed.sum() else pixels
+
+
+def first_segments(
+    prepared: PreparedFrame,
+    volume: CostVolume,
+    pixels: PixelDepth,
+    known: Sequence[Plane],
+    outline_rounds: int,
+    *,
+    refined: bool,
+) -> Regions:
+    """Segment a frame; depths still hold the outliers of their segments.
+
+    At first each layer has one depth. If some of its segments are tilted, or are stripes of a tilted surface, the
+    layers become planes, and pixels are assigned to them once more. Where noise tells more layers apart, those replace
+    them if the pixels' depths fit clearly better: a staircase lies within the cells' errors of a plane. Segments whose
+    pixels lie on a quadric of vergence become one, if there are no more of them and they explain the twins better.
+    Where the pixels' depths fit no planes, segments are pieces of planes across the surface of semi-global matching, if
+    those explain the twins better.
+    """
+    segmentation = Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
+    if any(plane.tilted for plane in known):
+        return segmentation.of_planes(list(known))
+    coarse = segmentation.layers
+    if not coarse:
+        none = np.zeros(volume.shape, dtype=np.int32)
+        return Regions(0, (), none, none, none)
+    regions = _of_layers_or_planes(segmentation, coarse, refined=refined)
+    inside = unspoiled(prepared, pixels).claimed & (regions.interior > 0)
+    if not (refined and inside.any()):
+        return regions
+    planes = curved_and_planes(regions, pixels, segmentation.separation_per_m)
+    if any(plane.curved for plane in planes):
+        curved = segmentation.of_planes(planes)
+        fewer = len(curved.depths) <= len(regions.depths)
+        if fewer and explains_better(curved, regions, prepared, volume, pixels):
+            return curved
+    if inside.size > _MOST_SURFACE_PIXELS or plane_misfit(regions, pixels, inside, _TILTED) < _UNFIT:
+        return regions
+    surfaces = segmentation.of_surfaces()
+    if surfaces is None or not explains_better(surfaces, regions, prepared, volume, pixels):
+        return regions
+    return surfaces
+
+
+def _of_layers_or_planes(segmentation: Segmentation, coarse: list[Plane], *, refined: bool) -> Regions:
+    """Segments of layers, of planes across them, or of the layers that noise tells apart."""
+    prepared, volume, pixels = segmentation.prepared, segmentation.volume, segmentation.pixels
+    regions = segmentation.of_layers(coarse)
+    if len(coarse) >= _MANY_LAYERS or any(depth.plane.tilted for depth in regions.depths):
+        cells = Cells.of(volume, pixels.claimed & prepared.lit, prepared.downsampling.step)
+        planes = planes_across(cells, cell_side(prepared.downsampling.step), volume, pixels, regions)
+        if any(plane.tilted for plane in planes):
+            regions = segmentation.of_planes(planes)
+    if not refined:
+        return regions
+    clean = unspoiled(prepared, pixels)
+    finer = replace(segmentation, separation_per_m=noise_separation_per_m(volume, clean))
+    layers = [Plane(vergence) for vergence in depth_layers(clean, finer.separation_per_m).tolist()]
+    if len(layers) <= len(coarse):
+        return regions
+    of_noise = finer.of_layers(layers)
+    needed = distinct_layers(of_noise, layers)
+    if len(needed) < len(layers):
+        of_noise = finer.of_layers(needed)
+    # Next to outlines, where depths mix, more layers always fit better.
+    inside = clean.claimed & (regions.interior > 0)
+    # Outliers leave a segment's depth only later: finer layers may move, but a slope must not pass for their steps.
+    moved, tilted = plane_misfit(of_noise, pixels, inside, _MOVED), plane_misfit(regions, pixels, inside, _TILTED)
+    return of_noise if moved < _CLEARLY_BETTER * tilted else regions
+
+
+def curved_and_planes(regions: Regions, pixels: PixelDepth, separation_per_m: float) -> list[Plane]:
+    """Quadrics of the segments that lie on those and on no planes, and the distinct planes of all others."""
+    count = len(regions.depths) + 1
+    vergence = np.array([np.inf, *(depth.vergence_per_m for depth in regions.depths)])
+    near = np.abs(vergence[1:, None] - vergence[1:]) < separation_per_m
+    groups, group = connected_components(near & adjacency(regions.grown, count)[1:, 1:])
+    curved: list[Plane] = []
+    remaining = np.zeros(count, dtype=np.int32)
+    planes: list[Plane] = []
+    for numbers in (1 + np.flatnonzero(group == one) for one in range(groups)):
+        surface = curved_surface(regions, pixels, numbers.tolist())
+        if surface is not None:
+            curved.append(surface)
+            continue
+        for number in numbers.tolist():
+            planes.append(regions.depths[number - 1].plane)
+            remaining[number] = len(planes)
+    return curved + distinct_planes(planes, remaining[regions.label], separation_per_m)
+
+
+def distinct_layers(regions: Regions, layers: list[Plane]) -> list[Plane]:
+    """Layers without those whose segments all have the depth of a larger neighbour within their errors."""
+    count = len(regions.depths) + 1
+    sizes, touching = np.bincount(regions.grown.ravel(), minlength=count), adjacency(regions.grown, count)
+    vergence = np.array([0.0, *(depth.vergence_per_m for depth in regions.depths)])
+    error = np.array([0.0, *(depth.relative_error for depth in regions.depths)])
+    own = np.abs(np.array([plane.vergence_per_m for plane in layers])[:, None] - vergence[1:]).argmin(axis=0)
+    kept = np.zeros(len(layers), dtype=bool)
+    for number in range(1, count):
+        larger = np.flatnonzero(
+            touching[number] & ((sizes > sizes[number]) | ((sizes == sizes[number]) & (np.arange(count) < number)))
+        )
+        larger = larger[larger > 0]
+        difference = np.abs(vergence[larger] / vergence[number] - 1.0)
+        allowed = np.maximum(_ONE_DEPTH_ERRORS * np.hypot(error[larger], error[number]), _ONE_DEPTH)
+        if not (difference < allowed).any():
+            kept[own[number - 1]] = True
+    return [plane for plane, stays in zip(layers, kept.tolist(), strict=True) if stays] or layers
+
+
+def planes_across(cells: Cells, side: int, volume: CostVolume, pixels: PixelDepth, regions: Regions) -> list[Plane]:
+    """Planes that span several layers, and the distinct planes of segments that are no stripes of those.
+
+    Args:
+        cells: of the whole picture.
+        side: of a cell, downsampled pixels.
+        pixels: depth of each pixel.
+        regions: segments of one depth.
+    """
+    separation = layer_separation_per_m(volume)
+    spanning = ransac_planes(cells, side, separation)
+    surfaces = [plane.over(regions.label.shape) for plane in spanning]
+
+    def is_stripe(number: int) -> bool:
+        mask = (regions.label == number) & pixels.claimed
+        if not mask.any():
+            return False
+        vergence, plane = pixels.vergence_per_m[mask], regions.depths[number - 1].plane.over(mask.shape)
+        away = float(np.median(np.abs(vergence - plane[mask])))
+        return any(float(np.median(np.abs(vergence - one[mask]))) < _STRIPE_RATIO * away for one in surfaces)
+
+    remaining = [number for number in range(1, len(regions.depths) + 1) if not is_stripe(number)]
+    renumbered = np.zeros(len(regions.depths) + 1, dtype=np.int32)
+    renumbered[remaining] = np.arange(1, len(remaining) + 1)
+    planes = [regions.depths[number - 1].plane for number in remaining]
+    return spanning + distinct_planes(planes, renumbered[regions.label], separation)
