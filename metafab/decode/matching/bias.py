@@ -12,13 +12,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.matching.depth import spline_peaks
+from metafab.decode.matching.space_variance import FirstMoments
 
 #: Largest bias that is corrected, steps from candidate to candidate; a larger one is another maximum.
 _LARGEST = 0.25
@@ -45,7 +45,7 @@ def unbiased_places(
     filters: NDArray[np.complex64],
     transfer: NDArray[np.complex64],
     gradient: NDArray[np.float32] | None,
-    offsets: tuple[FloatArray, FloatArray],
+    moments: FirstMoments,
     spectra: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
     """Depths whose filters put the expected maxima on the candidates: shape (n_field, n_candidates), in their steps.
@@ -57,33 +57,30 @@ def unbiased_places(
             between candidates.
         gradient: shape (2, n_field, n_field), weights of the field points in the pair's slope over (x, y), per pixel;
             None to leave it out.
-        offsets: (x, y) of the window's pixels from its origin, pixels, shapes (n_x,) and (n_y, 1).
+        moments: products of images with the offsets of their pixels.
         spectra: power of texture and of noise, shape (n_ky, n_kx).
     """
-    count, size = filters.shape[1], (filters.shape[3], 2 * (filters.shape[4] - 1))
+    count = filters.shape[1]
     halves = np.full(filters.shape[4], 2.0)
     halves[[0, -1]] = 1.0
-    texture, noise = ((one * halves).astype(np.float32) for one in spectra)
+    texture, noise = (np.repeat((one * halves).astype(np.float32), 2) for one in spectra)
 
     def of_field(number: int) -> FloatArray:
-        mixed, pair = filters[:, :, number], transfer[:, :, number]
-        from_noise = (_squared(mixed) * noise).sum(axis=(-2, -1), dtype=np.float64)
-        is_even = gradient is None or not gradient.any()
-        changes = () if gradient is None or is_even else np.tensordot(gradient[:, number], transfer, axes=(1, 2))
+        mixed, pair = np.ascontiguousarray(filters[:, :, number]), transfer[:, :, number]
+        from_noise = _power(mixed, noise)
+        # Few points take part in the slopes at one: those of its row and its column.
+        slopes = np.zeros((2, 0)) if gradient is None else gradient[:, number]
+        points = np.flatnonzero(slopes.any(axis=0))
+        changes = np.tensordot(slopes[:, points], transfer[:, :, points], axes=(1, 2)) if points.size else ()
         correlation = np.empty((pair.shape[1], count))
         for true in range(pair.shape[1]):
             seen = mixed * pair[:, true, None]
-            if not is_even:
+            if points.size:
                 # A point at a distance from the pixel is blurred by the pair of its own place.
                 near = slice(max((true + 1) // 2 - _NEAR, 0), min(true // 2 + _NEAR + 1, count))
-                moved = np.zeros((2, near.stop - near.start, *size), dtype=np.float32)
-                for change, offset in zip(changes, offsets, strict=True):
-                    moved += offset * scipy.fft.irfft2(mixed[:, near] * change[:, true, None], size)
-                seen[:, near] -= scipy.fft.rfft2(moved)
-            a, b = seen
-            product = ((a.real * b.real + a.imag * b.imag) * texture).sum(axis=(-2, -1), dtype=np.float64)
-            power = (_squared(seen) * texture).sum(axis=(-2, -1), dtype=np.float64) + from_noise
-            correlation[true] = product / np.sqrt(power[0] * power[1])
+                seen[:, near] -= moments(*(mixed[:, near] * change[:, true, None] for change in changes))
+            power = _power(seen, texture) + from_noise
+            correlation[true] = _inner(seen[0], seen[1], texture) / np.sqrt(power[0] * power[1])
         return _moved(correlation)
 
     with kept_threads() as pool:
@@ -108,5 +105,11 @@ def _moved(correlation: FloatArray) -> FloatArray:
     return np.asarray(own - np.linalg.solve(system, by_place.T @ bias[known]))
 
 
-def _squared(spectra: NDArray[np.complex64]) -> NDArray[np.float32]:
-    return np.asarray(spectra.real**2 + spectra.imag**2)
+def _power(spectra: NDArray[np.complex64], weight: NDArray[np.float32]) -> FloatArray:
+    return _inner(spectra, spectra, weight)
+
+
+def _inner(a: NDArray[np.complex64], b: NDArray[np.complex64], weight: NDArray[np.float32]) -> FloatArray:
+    """Real part of the weighted inner products of transforms (..., n_ky, n_kx); weights are (2 n_ky n_kx,)."""
+    first, second = (np.reshape(one, (*one.shape[:-2], -1)).view(np.float32) for one in (a, b))
+    return np.asarray((first * second * weight).sum(axis=-1, dtype=np.float64))

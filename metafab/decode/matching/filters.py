@@ -27,7 +27,7 @@ from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.filter_basis import FilterBasis, frequencies, low_rank
 from metafab.decode.matching.levels import Levels, high_pass
 from metafab.decode.matching.mixing import mixed_products
-from metafab.decode.matching.space_variance import compensated, field_gradient, window_offsets
+from metafab.decode.matching.space_variance import FirstMoments, compensated, field_gradient
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import Downsampling
 from metafab.information.fisher import twin_information
@@ -222,7 +222,8 @@ def _unbiased(
     mixed = (weights @ kernels).reshape(*weights.shape[:3], *transfer.shape[3:])
     texture = _TYPICAL.texture_spectrum(ky[:, None] ** 2 + kx[None, :] ** 2)
     spectra = texture, np.full_like(texture, _TYPICAL.noise_variance)
-    return unbiased(weights, unbiased_places(mixed, transfer, gradient, window_offsets(transfer, basis.step), spectra))
+    moments = FirstMoments.of(transfer, basis.step)
+    return unbiased(weights, unbiased_places(mixed, transfer, gradient, moments, spectra))
 
 
 def coarsest_step(calibration: Calibration) -> int:

@@ -14,6 +14,8 @@ and +q H_y* / (|H_x|^2 + |H_y|^2) of B.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
@@ -45,20 +47,16 @@ def compensated(
     gradient = field_gradient(calibration)
     if not gradient.any():
         return filters
-    n_y, n_kx = transfer.shape[-2:]
-    size, offsets = (n_y, 2 * (n_kx - 1)), window_offsets(transfer, step)
+    moments = FirstMoments.of(transfer, step)
     weight = np.asarray(weight, dtype=np.float32)
     inverse_weight = 1.0 / np.maximum(weight, _FAINTEST * weight.max())
     out = np.empty_like(filters)
     for v in range(transfer.shape[1]):
-        difference = np.zeros(transfer.shape[2:], dtype=np.complex64)
-        for along, offset in zip(gradient, offsets, strict=True):
-            change = np.tensordot(along, transfer[:, v], axes=(1, 1)).swapaxes(0, 1)
-            unequal = weight * (filters[0, v] * change[0] - filters[1, v] * change[1])
-            difference -= scipy.fft.rfft2(scipy.fft.irfft2(unequal, size) * offset)
-        share = difference * inverse_weight / total[v]
-        out[0, v] = filters[0, v] - share * transfer[0, v].conj()
-        out[1, v] = filters[1, v] + share * transfer[1, v].conj()
+        changes = (np.tensordot(along, transfer[:, v], axes=(1, 1)).swapaxes(0, 1) for along in gradient)
+        unequal = (weight * (filters[0, v] * change[0] - filters[1, v] * change[1]) for change in changes)
+        share = moments(*unequal) * inverse_weight / total[v]
+        out[0, v] = filters[0, v] + share * transfer[0, v].conj()
+        out[1, v] = filters[1, v] - share * transfer[1, v].conj()
     return out
 
 
@@ -69,13 +67,10 @@ def field_gradient(calibration: Calibration) -> NDArray[np.float32]:
     by_x = np.kron(np.eye(nodes_y.size), slope_weights(nodes_x))
     by_y = np.kron(slope_weights(nodes_y), np.eye(nodes_x.size))
     tangent_y, tangent_x = (axis.ravel() for axis in np.meshgrid(nodes_y, nodes_x, indexing="ij"))
+    place_um = calibration.image_map.jacobian_um(0, tangent_x, tangent_y)
     # d(tangent) / d(place in the x image), per pixel.
-    tangent_per_px = [
-        kernels.psf.pixel_um * np.linalg.inv(calibration.image_map.jacobian_um(0, np.array(x), np.array(y)))
-        for x, y in zip(tangent_x, tangent_y, strict=True)
-    ]
-    jacobian = np.array(tangent_per_px)[..., None]
-    along = [jacobian[:, 0, axis] * by_x + jacobian[:, 1, axis] * by_y for axis in (0, 1)]
+    tangent_per_px = kernels.psf.pixel_um * np.linalg.inv(place_um)[..., None]
+    along = [tangent_per_px[:, 0, axis] * by_x + tangent_per_px[:, 1, axis] * by_y for axis in (0, 1)]
     return np.asarray(along, dtype=np.float32)
 
 
@@ -87,10 +82,34 @@ def slope_weights(nodes: FloatArray) -> FloatArray:
     return np.asarray(spline.derivative()(nodes), dtype=np.float64)
 
 
-def window_offsets(transfer: NDArray[np.complex64], step: int) -> tuple[FloatArray, FloatArray]:
-    """Offsets (x, y) of the pixels of transforms (..., m_y, m_x // 2 + 1) from their origin: (m_x,) and (m_y, 1)."""
-    n_y, n_kx = transfer.shape[-2:]
-    return step * _periodic_offsets(2 * (n_kx - 1)), step * _periodic_offsets(n_y)[:, None]
+@dataclass(frozen=True)
+class FirstMoments:
+    """Multiplication of real images by the offset of each pixel from their origin, in transforms of real images.
+
+    The offset along y multiplies each column by itself: an imaginary matrix over k_y, since offsets are odd. That
+    along x multiplies each row, of which a transform along x holds half: a real matrix over the real and imaginary
+    parts of its k_x.
+    """
+
+    by_y: NDArray[np.float32]  #: Shape (m_y, m_y), imaginary part of the matrix.
+    by_x: NDArray[np.float32]  #: Shape (m_x + 2, m_x + 2), from the right.
+
+    @classmethod
+    def of(cls, transfer: NDArray[np.complex64], step: int) -> FirstMoments:
+        """Those of transforms, shape (..., m_y, m_x // 2 + 1), of every ``step``-th pixel, in pixels."""
+        n_y, n_kx = transfer.shape[-2:]
+        n_x = 2 * (n_kx - 1)
+        columns = scipy.fft.ifft(np.eye(n_y), axis=0) * _periodic_offsets(n_y)[:, None]
+        rows = scipy.fft.irfft(np.eye(2 * n_kx).view(np.complex128), n_x) * _periodic_offsets(n_x)
+        by_y, by_x = scipy.fft.fft(columns, axis=0).imag, scipy.fft.rfft(rows).view(np.float64)
+        return cls((step * by_y).astype(np.float32), (step * by_x).astype(np.float32))
+
+    def __call__(self, image_x: NDArray[np.complex64], image_y: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """Transform of x times one image plus y times the other; all have the shape (..., m_y, m_x // 2 + 1)."""
+        rows = np.ascontiguousarray(scipy.fft.ifft(image_x, axis=-2)).view(np.float32)
+        moment = scipy.fft.fft((rows @ self.by_x).view(np.complex64), axis=-2, overwrite_x=True)
+        moment += 1j * (self.by_y @ np.ascontiguousarray(image_y).view(np.float32)).view(np.complex64)
+        return np.asarray(moment)
 
 
 def _periodic_offsets(count: int) -> FloatArray:

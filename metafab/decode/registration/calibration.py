@@ -71,12 +71,12 @@ class Calibration:
     @cached_property
     def stack(self) -> NDArray[np.float32]:
         """Kernels at all calibrated points, those of y stretched: shape (2, n_depth, n_field, n_y, n_x)."""
-        nodes = self.kernels.nodes.copy()
-        for j, tangent_y in enumerate(self.kernels.tangent_y):
-            for i, tangent_x in enumerate(self.kernels.tangent_x):
-                stretch = self._stretch(tangent_x, tangent_y)
-                if np.abs(stretch - np.eye(2)).max() > 1e-6:
-                    nodes[1, :, j, i] = stretched(nodes[1, :, j, i], stretch)
+        nodes, tangents = self.kernels.nodes.copy(), np.meshgrid(self.kernels.tangent_x, self.kernels.tangent_y)
+        # d(place in the x image) and d(place in the y image) / d(tangent) at the field points.
+        x, y = (self.image_map.jacobian_um(p, *tangents) for p in (0, 1))
+        stretch = y @ np.linalg.inv(x)
+        for j, i in np.argwhere(np.abs(stretch - np.eye(2)).max(axis=(-2, -1)) > 1e-6):
+            nodes[1, :, j, i] = stretched(nodes[1, :, j, i], stretch[j, i])
         return nodes.reshape(*nodes.shape[:2], -1, *nodes.shape[-2:])
 
     @cached_property
@@ -93,11 +93,6 @@ class Calibration:
             ]
             shares.append(float(np.quantile(np.max(sides, axis=0), _SPILL_QUANTILE)))
         return tuple(zip(_SPILL_PX, shares, strict=True))
-
-    def _stretch(self, tangent_x: float, tangent_y: float) -> FloatArray:
-        """d(place in the y image) / d(place in the x image), shape (2, 2) over (x, y)."""
-        x, y = (self.image_map.jacobian_um(p, np.array(tangent_x), np.array(tangent_y)) for p in (0, 1))
-        return np.asarray(y @ np.linalg.inv(x))
 
     def depth_weights(self, vergence_per_m: float | FloatArray) -> NDArray[np.float32]:
         """Interpolation weights of the calibrated depths at a vergence, scalar or array: shape (..., n_depth)."""

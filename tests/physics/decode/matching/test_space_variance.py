@@ -15,7 +15,7 @@ from metafab.core.conventions import FloatArray
 from metafab.decode import Decoder, DecoderNumerics, DepthBound
 from metafab.decode.matching import filters
 from metafab.decode.matching.bias import unbiased, unbiased_places
-from metafab.decode.matching.space_variance import compensated, field_gradient, slope_weights
+from metafab.decode.matching.space_variance import FirstMoments, compensated, field_gradient, slope_weights
 from metafab.decode.registration.calibration import Calibration
 from metafab.information.texture import Texture
 from metafab.optics.point_spread import Psf
@@ -129,3 +129,15 @@ def test_slopes_of_few_nodes() -> None:
     np.testing.assert_allclose(slope_weights(np.array([1.0, 3.0])) @ np.array([2.0, 6.0]), [2.0, 2.0])
     nodes = np.array([0.0, 1.0, 2.5, 3.0, 4.5])
     np.testing.assert_allclose(slope_weights(nodes) @ nodes**3, 3.0 * nodes**2, atol=1e-10)
+
+
+def test_first_moments_are_products_with_the_offsets_of_pixels() -> None:
+    """x times one image plus y times another, between their transforms; the farthest row and column count as 0."""
+    rng = np.random.default_rng(5)
+    images = rng.normal(size=(2, 3, 8, 10)).astype(np.float32)
+    offset_x, offset_y = (2.0 * np.fft.fftfreq(n, 1.0 / n) for n in (10, 8))
+    offset_x[5] = offset_y[4] = 0.0
+    transforms = np.fft.rfft2(images).astype(np.complex64)
+    got = FirstMoments.of(transforms, step=2)(*transforms)
+    expected = np.fft.rfft2(images[0] * offset_x + images[1] * offset_y[:, None])
+    np.testing.assert_allclose(got, expected, atol=1e-6 * np.abs(expected).max())
