@@ -14,6 +14,7 @@ from metafab.cell.elements.line import (
     Places,
     folds,
     graded_quadrature,
+    half_turn_folds,
     mirrored_line,
     periodic_line,
     shapes,
@@ -57,7 +58,8 @@ class Basis:
     corner_sign: FloatArray
     most_waves: tuple[int, int]  #: Largest numbers (m_x, m_y) of the plane waves.
     nodes: IntArray  #: Shape (2, ...) over the mesh's elements, quadrature nodes along each side of an element.
-    #: Folds of E and of E_z that keep only functions with the light's parity about the mirror along x; None keeps all.
+    #: Folds of E and of E_z that keep only functions with the light's parity: about the mirror along x of a row, or
+    #: under a half turn of a block. None keeps all.
     fold: tuple[Fold, Fold] | None = None
 
     @property
@@ -74,14 +76,15 @@ class Basis:
         return sum(self.counts), self.along_x.nodal_count * self.along_y.nodal_count + self.counts[2]
 
 
-def basis_of(supercell: Supercell, polarisation: Polarisation, resolution: float, *, mirrored: bool = False) -> Basis:
+def basis_of(supercell: Supercell, polarisation: Polarisation, resolution: float, *, folded: bool = False) -> Basis:
     """Basis of a supercell at a resolution.
 
     Args:
         supercell: the pillars.
         polarisation: of the incident light; it chooses the parity of one row. A block serves both polarisations.
         resolution: polynomial order of an element far smaller than the wavelength.
-        mirrored: keep only the functions with the light's parity about the middle of a row that is its mirror image.
+        folded: keep only the functions with the light's parity, in a row that is its mirror image about its middle or
+            in a block that is its image under a half turn.
     """
     mesh, cell = mesh_of(supercell), supercell.cell
     orders_x, orders_y = polynomial_orders(mesh, supercell, resolution)
@@ -104,8 +107,10 @@ def basis_of(supercell: Supercell, polarisation: Polarisation, resolution: float
             radians = 2.0 * math.pi * waves[axis] * float(np.ptp(mesh.corners(b, a)[axis])) / mesh.period_nm[axis]
             nodes[axis, b, a] = order + _NODES + math.ceil(_NODES_PER_RADIAN * radians)
     basis = Basis(mesh, along_x, along_y, tau, number, sign, (waves[0], waves[1]), nodes)
-    if not mirrored:
+    if not folded:
         return basis
+    if supercell.shape[0] > 1:
+        return replace(basis, fold=half_turn_folds(along_x, along_y, number))
     across = along_y.nodal_count, along_y.edge_count
     return replace(basis, fold=folds(along_x, across, number[0], even=polarisation == "x"))
 

@@ -6,7 +6,8 @@ nodal function is an edge function (Schoeberl and Zaglmayr, COMPEL 24, 374, 2005
 
 In a row that is its own mirror image along x each function is paired with its image. Light along the axis keeps E_x
 even and E_y odd (x light), or the reverse (y light). The sums of a function and of its image with that parity are half
-of all functions, and a solution costs an eighth.
+of all functions, and a solution costs an eighth. A block that is its own image under a half turn keeps E_x and E_y even
+under it, and E_z odd, for both polarisations: half of the functions likewise.
 """
 
 from __future__ import annotations
@@ -14,11 +15,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import accumulate
+from typing import TypeAlias
 
 import numpy as np
 
 from metafab.cell.rcwa.basis.coordinates import IntArray
 from metafab.core.conventions import FloatArray
+
+#: Number of each function's image, and factor from the function to it.
+Images: TypeAlias = tuple[IntArray, FloatArray]
 
 
 @dataclass(frozen=True)
@@ -155,30 +160,50 @@ def folds(line: Line, across: tuple[int, int], corner: IntArray, *, even: bool) 
         corner: shape (n_x,), number of the function of the corners at each vertex along x; -1 for none.
         even: whether E_x is even and E_y and E_z are odd.
     """
-    nodal, nodal_sign = _images(line, nodal=True)
-    edge, edge_sign = _images(line, nodal=False)
     sign = 1.0 if even else -1.0
+    nodal, edge = _images(line, nodal=True), _images(line, nodal=False)
+    whole = tuple((np.arange(count), np.ones(count)) for count in across)
     own = np.flatnonzero(corner >= 0)
     corners = np.empty(len(own), dtype=np.intp)
     corners[corner[own]] = corner[::-1][own]
-    n_nodal, n_edge = across
-    u, v, z = (
-        ((image[:, None] * count + np.arange(count)).ravel(), np.repeat(signs, count))
-        for image, signs, count in (
-            (edge, sign * edge_sign, n_nodal),
-            (nodal, -sign * nodal_sign, n_edge),
-            (nodal, -sign * nodal_sign, n_nodal),
-        )
+    u, v, z = _both(edge, whole[0], sign), _both(nodal, whole[1], -sign), _both(nodal, whole[0], -sign)
+    return _folds_of(u, v, z, (corners, np.full(len(corners), -sign)))
+
+
+def half_turn_folds(along_x: Line, along_y: Line, corner: IntArray) -> tuple[Fold, Fold]:
+    """Sums of the functions of E, equal to their images under a half turn of the block, and of those of E_z, opposite.
+
+    Args:
+        along_x: numbering along x, periodic.
+        along_y: numbering along y, periodic.
+        corner: shape (2 n_y, 2 n_x), number of the function of the corners at each vertex; -1 for none.
+    """
+    nodal_x, edge_x, nodal_y, edge_y = (
+        _images(line, nodal=nodal) for line in (along_x, along_y) for nodal in (True, False)
     )
-    odd = np.full(len(corners), -sign)
+    own = corner >= 0
+    corners = np.empty(np.count_nonzero(own), dtype=np.intp)
+    corners[corner[own]] = corner[::-1, ::-1][own]
+    u, v, z = _both(edge_x, nodal_y, 1.0), _both(nodal_x, edge_y, 1.0), _both(nodal_x, nodal_y, -1.0)
+    return _folds_of(u, v, z, (corners, np.full(len(corners), -1.0)))
+
+
+def _both(along_x: Images, along_y: Images, sign: float) -> Images:
+    """Images of the products of functions along x and along y, times a sign."""
+    count = len(along_y[0])
+    return (along_x[0][:, None] * count + along_y[0]).ravel(), sign * np.outer(along_x[1], along_y[1]).ravel()
+
+
+def _folds_of(u: Images, v: Images, z: Images, corners: Images) -> tuple[Fold, Fold]:
+    """Folds of E, from the images of its functions along u, along v and of corners, and of E_z."""
     n_u, n_v, n_z = len(u[0]), len(v[0]), len(z[0])
     return (
-        Fold.of(np.concatenate([u[0], n_u + v[0], n_u + n_v + corners]), np.concatenate([u[1], v[1], odd])),
-        Fold.of(np.concatenate([z[0], n_z + corners]), np.concatenate([z[1], odd])),
+        Fold.of(np.concatenate([u[0], n_u + v[0], n_u + n_v + corners[0]]), np.concatenate([u[1], v[1], corners[1]])),
+        Fold.of(np.concatenate([z[0], n_z + corners[0]]), np.concatenate([z[1], corners[1]])),
     )
 
 
-def _images(line: Line, *, nodal: bool) -> tuple[IntArray, FloatArray]:
+def _images(line: Line, *, nodal: bool) -> Images:
     """Image of each function along a periodic line under the mirror of the period, and its sign."""
     count = line.nodal_count if nodal else line.edge_count
     image, sign = np.empty(count, dtype=np.intp), np.ones(count)

@@ -1,7 +1,8 @@
 """Transmitted orders of a supercell by doubling of half the layer and one system for both faces, with an error bound.
 
 Rows keep the mirror about their axis, so that each polarisation has half of the functions, and a quarter if the row is
-its own mirror image along x. Blocks solve both polarisations at once. The resolution rises until the bound on the error
+its own mirror image along x. Blocks solve both polarisations at once, with half of the functions if
+a half turn maps the block to itself. The resolution rises until the bound on the error
 is below the target. The bound is a share of the change from one resolution to the next, and never below a floor that
 falls with the resolution.
 """
@@ -129,15 +130,15 @@ def scattered_by_row(supercell: Supercell, light: Polarisation, resolution: floa
 def _layer(supercell: Supercell, lights: Sequence[Polarisation], resolution: float, order: IntArray) -> Layer:
     if supercell.cell.is_shaped:
         return curved_layer(supercell, lights, resolution, order)
-    basis = basis_of(supercell, lights[0], resolution, mirrored=_is_mirrored(supercell))
+    basis = basis_of(supercell, lights[0], resolution, folded=_is_symmetric(supercell))
     elements = elements_of(basis)
     grams = Grams.of(elements, gradient_of(basis))
     return Waves(basis, order).overlaps(elements, *grams.p_and_q(supercell.cell.layer, supercell.cell.k0_per_nm))
 
 
-def _is_mirrored(supercell: Supercell) -> bool:
-    """Whether a row along x is its own mirror image about its middle."""
-    return supercell.shape[0] == 1 and np.array_equal(supercell.size_nm, supercell.size_nm[:, ::-1])
+def _is_symmetric(supercell: Supercell) -> bool:
+    """Whether a row along x is its own mirror image about its middle, or a block its own image under a half turn."""
+    return np.array_equal(supercell.size_nm, supercell.size_nm[::-1, ::-1])
 
 
 def other_light(light: Polarisation) -> Polarisation:
@@ -182,7 +183,7 @@ def _feasible(supercell: Supercell, resolutions: tuple[float, ...]) -> list[floa
         turned = supercell.exchanged() if supercell.shape[1] == 1 else supercell
         if supercell.cell.is_shaped:
             return count_functions(turned, resolution)
-        return basis_of(turned, "x", resolution, mirrored=_is_mirrored(turned)).sizes[0]
+        return basis_of(turned, "x", resolution, folded=_is_symmetric(turned)).sizes[0]
 
     is_curved = supercell.cell.is_shaped
     for shift in (0.0, 0.5, 1.0):

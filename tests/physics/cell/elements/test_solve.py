@@ -69,8 +69,8 @@ def test_a_row_that_is_its_own_mirror_image_needs_half_of_the_functions(
     order = row.propagating_orders(light)[:, 0]
     turned = orders_at(row, (light,), COARSE) * np.exp(-2j * np.pi * order / len(sizes))[:, None, None]
     np.testing.assert_allclose(orders_at(moved, (light,), COARSE), turned, atol=1e-9)
-    folded, whole = (basis_of(row, light, COARSE, mirrored=mirrored).sizes for mirrored in (True, False))
-    assert folded[0] <= 0.52 * whole[0] and folded[1] <= 0.55 * whole[1]
+    half, whole = (basis_of(row, light, COARSE, folded=folded).sizes for folded in (True, False))
+    assert half[0] <= 0.52 * whole[0] and half[1] <= 0.55 * whole[1]
 
 
 @pytest.mark.parametrize("light", POLARISATIONS)
@@ -121,6 +121,21 @@ def test_a_block_exchanges_its_axes() -> None:
     turned = orders_at(block.exchanged(), POLARISATIONS, 2.0)
     np.testing.assert_allclose(turned[:, ::-1, ::-1], t, atol=1e-9)
     assert np.abs(t[:, 0, 1]).max() < 1e-9, "two by two pillars always have both mirrors"
+
+
+def test_a_block_that_is_its_image_under_a_half_turn_needs_half_of_the_functions() -> None:
+    """Moved by a site it is not its image about the middle, and all functions are kept."""
+    a, b, c, d, e = [*RAMP, (220.0, 160.0), (140.0, 210.0)]
+    block, moved = (
+        Supercell(EMPTY, np.array(rows))
+        for rows in ([[a, b, c], [d, e, d], [c, b, a]], [[c, a, b], [d, d, e], [a, c, b]])
+    )
+    order = block.propagating_orders("x")
+    turned = orders_at(block, POLARISATIONS, 2.0) * np.exp(-2j * np.pi * order[:, 0] / 3)[:, None, None]
+    np.testing.assert_allclose(orders_at(moved, POLARISATIONS, 2.0), turned, atol=1e-9)
+    assert np.abs(turned[:, 0, 1]).max() > 0.01, "light is cross-polarised"
+    half, whole = (basis_of(block, "x", 2.0, folded=folded).sizes for folded in (True, False))
+    assert half[0] <= 0.5 * whole[0] and half[1] <= 0.5 * whole[1]
 
 
 @pytest.mark.parametrize(
