@@ -20,6 +20,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.work import Work
 from metafab.optics import Imaging, Psf, PsfNumerics, Source, at_tangent, psf, relative_l2
+from metafab.optics.geometry.imaging import Tangent
 from metafab.spec.scene import Scene
 
 #: Field points along x and y of the first attempt: even numbers, so that few fall on those of a calibration.
@@ -46,6 +47,12 @@ def scene_depths_m(scene: Scene, pixel_tangent: float, rows: int) -> FloatArray:
             for piece in moved(scene, time_s).objects:
                 depths |= set(step_depths_m(piece).tolist())
     return np.array(sorted(depths))
+
+
+def scene_reach(scene: Scene, imaging: Imaging) -> Tangent:
+    """Direction (x/z, y/z) of the farthest corner of the field over which :func:`exact_psf` computes PSFs."""
+    x, y = (0.5 * _BEYOND * imaging.pixel_um / imaging.sensor_distance_um * n for n in scene.field_px[::-1])
+    return x, y
 
 
 def exact_psf(
@@ -83,7 +90,7 @@ def exact_psf(
         expected = f"at most {_MOST_DEPTHS} depths over all frames"
         remedy = "photograph fewer frames, or objects that do not move along the axis"
         raise InputError.single("scene", "objects", expected, f"{depths_m.size}", remedy)
-    reach_x, reach_y = (0.5 * _BEYOND * pixel_tangent * n for n in scene.field_px[::-1])
+    reach_x, reach_y = scene_reach(scene, imaging)
     points, error, target_error = _FIRST_POINTS, np.inf, numerics.target_error
     ends = np.unique(depths_m[[0, -1]])
 

@@ -155,9 +155,9 @@ class Optics(Checked):
     #: Whether the light of a pillar depends on its neighbours; by default where the library's model of them lowers the
     #: error.
     neighbours: Flag | None = None
-    #: Whether the light of a pillar depends on the direction from which it comes; false without the key. The directions
-    #: are those of the scene's field. Pillars must be upright rectangles on a clear isotropic substrate. Printed and
-    #: measured pillars keep their light along the axis.
+    #: Whether the light of a pillar depends on the direction from which it comes, of those of the scene's field; by
+    #: default where that changes the field by more than the library's model of neighbours errs. Pillars must be upright
+    #: rectangles on a clear isotropic substrate. Printed and measured pillars keep their light along the axis.
     oblique: Flag | None = None
 
     def _faults(self) -> Iterator[str]:

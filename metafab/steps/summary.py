@@ -262,7 +262,7 @@ def ledger(
     if library is not None:
         savings += _of_library(library)
     if psf is not None:
-        savings += _of_psf(design, psf, layout)
+        savings += [*_of_psf(design, psf, layout), *_of_angles(design, psf, library)]
     if decode is not None:
         savings += _of_decode(decode)
     return tuple(savings)
@@ -312,6 +312,24 @@ def _of_psf(design: Design, psf: PsfFigures, layout: LayoutFigures | None) -> It
         psf.field_interpolation_error,
         "relative L2",
     )
+
+
+def _of_angles(design: Design, psf: PsfFigures, library: LibraryFigures | None) -> Iterator[Saving]:
+    """Light at angles that the PSFs over the field leave out."""
+    if psf.oblique_error is None or psf.oblique_change is not None:
+        return
+    statistics = None if library is None or not psf.with_neighbours else library.neighbours
+    if design.optics is not None and design.optics.oblique is False:
+        why = "`optics.oblique` is false"
+    elif design.light:
+        why = "not available with several `light`"
+    elif statistics is None:
+        why = (
+            "unlike neighbours, which the library does not know, change the field as well; `optics.oblique` asks for it"
+        )
+    else:
+        why = f"the model of unlike neighbours errs by more, {statistics.error_alike:.2g}"
+    yield Saving("psf", "angles of the light on pillars", 1, None, why, psf.oblique_error, "relative L2 of the field")
 
 
 def _of_decode(decode: DecodeFigures) -> Iterator[Saving]:

@@ -67,6 +67,11 @@ def powers(direction: Direction) -> FloatArray:
     return np.asarray(np.stack([square, square**2], axis=1).ravel(), dtype=np.float64)
 
 
+def reach_of(corner: Direction) -> float:
+    """Return the largest cosine along x and y that is solved for a field with this corner."""
+    return max(abs(tangent) for tangent in corner) / math.hypot(1.0, *corner)
+
+
 def is_solved_at_angles(unit_cell: UnitCell) -> bool:
     """Whether RCWA solves the pillars of a unit cell quickly under oblique light.
 
@@ -126,7 +131,7 @@ def oblique_change(
     if not used.size or not is_solved_at_angles(library.unit_cell):
         return None
     chosen = used if used.size <= _FITTED_SIZES else np.unique(_even_shares(pillars, _FITTED_SIZES))
-    reach = max(abs(tangent) for tangent in corner) / math.hypot(1.0, *corner)
+    reach = reach_of(corner)
     slopes = [cosine / math.sqrt(1.0 - cosine**2) for cosine in (_INNER * reach, reach)]
     in_planes = [(slope, 0.0) for slope in slopes] + [(0.0, slope) for slope in slopes]
     tested = np.arange(chosen.size) % _HELD_OUT == _HELD_OUT - 1

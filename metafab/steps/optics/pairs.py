@@ -24,14 +24,20 @@ from metafab.spec import Design, Scene
 from metafab.steps.exposure import Printed
 from metafab.steps.job import Job, Step, in_folder
 from metafab.steps.layout import mask_paths
-from metafab.steps.library import library_path, open_library
+from metafab.steps.library import library_path
 from metafab.steps.optics.figures import PsfFigures
-from metafab.steps.optics.sources import ideal_source, light_over_field, lit_source, source_of, written_light
+from metafab.steps.optics.sources import (
+    ideal_source,
+    light_over_field,
+    lit_source,
+    oblique_error,
+    source_of,
+    written_light,
+)
 
 if TYPE_CHECKING:
-    from metafab.optics import Imaging, NeighbourField, Psf, Source, WrittenField
+    from metafab.optics import Imaging, Psf, Source
     from metafab.optics.measures.landing import Places
-    from metafab.optics.sources.oblique import ObliqueField
 
 #: Factor on the target error of PSFs where no work is left out: for finer blocks of the pupil and more depths.
 UNSKIPPED_SHARE = 0.1
@@ -103,8 +109,7 @@ def point_spread(
     tangents = [tangent or (1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
     for depths, direction in zip(passes, tangents, strict=True):
         require_valid(imaging, depths, direction, None, numerics)  # before the mask is read
-    on_axis = all(direction == (0.0, 0.0) for direction in tangents)
-    source, made_error = source_of(job, path, copy, printed, sizes, on_axis=on_axis)
+    source, made_error = source_of(job, path, copy, printed, sizes, tangents=tangents)
     stacks = [
         optics.psf(source, imaging, depths, numerics, tangent=tangent, work=job.work)
         for depths, tangent in zip(passes, tangents, strict=True)
@@ -146,9 +151,10 @@ def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1, prin
     The scene of the design is not used.
     """
     from metafab import camera, optics
-    from metafab.camera.exact import EXACT
+    from metafab.camera.exact import EXACT, scene_reach
 
-    (source, made_error), imaging = source_of(job, path, copy, printed), optics.Imaging.of(job.design)
+    imaging = optics.Imaging.of(job.design)
+    source, made_error = source_of(job, path, copy, printed, tangents=[scene_reach(scene, imaging)])
     numerics = replace(EXACT, filter_fwhm_nm=filter_fwhm_nm(job.design), vectorial=job.design.verify.vectorial)
     pair = camera.exact_psf(scene, source, imaging, numerics, work=Work(progress=job.work.progress))
     return _stating(pair, made_error)
@@ -274,23 +280,9 @@ def _psf(job: Job) -> PsfFigures:
     return replace(
         figures,
         with_neighbours=isinstance(pillars, NeighbourField) or None,
-        oblique_error=None if seen is None else _oblique_error(job, seen),
+        oblique_error=None if seen is None else oblique_error(job, seen),
         oblique_change=seen.change.change if isinstance(seen, ObliqueField) else None,
     )
-
-
-def _oblique_error(job: Job, seen: WrittenField | NeighbourField | ObliqueField) -> float | None:
-    """Error of the pillars' light from the corner of the field; None without a field."""
-    from metafab.library.use.oblique import oblique_field_error
-    from metafab.optics.geometry.imaging import Imaging, field_corner
-    from metafab.optics.sources.oblique import ObliqueField
-
-    if isinstance(seen, ObliqueField):
-        return seen.change.left
-    corner, pillars = field_corner(job.design, Imaging.of(job.design)), seen.pillars
-    if corner is None:
-        return None
-    return oblique_field_error(open_library(job), pillars.size_nm(), pillars.numbers(), corner, job.work.workers)
 
 
 PSF = Step(

@@ -6,7 +6,7 @@ In all functions ``path`` is a mask file and ``copy`` the number of the lens in 
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from metafab.layout import PillarMap
     from metafab.library.use.oblique import ObliqueChange
     from metafab.optics import NeighbourField, Source, WrittenField
+    from metafab.optics.geometry.imaging import Tangent
     from metafab.optics.sources.oblique import ObliqueField
 
 #: The pillars that were read last, shared by the steps of a run.
@@ -28,6 +29,8 @@ _READ: Latest[PillarMap] = Latest()
 _AMONG: Latest[NeighbourField] = Latest()
 #: Their change by the direction of the light, likewise.
 _OBLIQUE: Latest[ObliqueChange | None] = Latest()
+#: Its error where it is left out, likewise.
+_OBLIQUE_ERROR: Latest[float | None] = Latest()
 
 
 def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) -> WrittenField:
@@ -66,29 +69,69 @@ def written_light(job: Job, path: Path, copy: int = 1) -> WrittenField | Neighbo
     return _AMONG.of(key, lambda: optics.neighbour_field(lone.pillars, library, job.work.workers))
 
 
-def light_over_field(job: Job, straight: WrittenField | NeighbourField) -> WrittenField | NeighbourField | ObliqueField:
-    """Light of the pillars under light from each direction of the field, if ``[optics] oblique`` asks for it.
+def light_over_field(
+    job: Job, straight: WrittenField | NeighbourField, tangents: Sequence[Tangent] = ()
+) -> WrittenField | NeighbourField | ObliqueField:
+    """Light of the pillars under light from each direction of the field, where design or error budget ask for it.
 
-    InputError where RCWA does not solve such pillars at angles.
+    ``[optics] oblique`` decides. Without it, angles are solved if they change the field by more than the library's
+    model of neighbours errs, and the directions ``tangents`` lie in the field.
+
+    InputError where the key asks for them and a direction lies beyond the field, or RCWA does not solve such pillars at
+    angles.
     """
+    from metafab.library.use.oblique import oblique_change, reach_of
     from metafab.optics.geometry.imaging import Imaging, field_corner
+    from metafab.optics.sources.oblique import ObliqueField, require_reach
 
-    design = job.design
-    if design.optics is None or not design.optics.oblique or job.nominal is not None:
+    asked, corner = job.design.optics and job.design.optics.oblique, field_corner(job.design, Imaging.of(job.design))
+    if asked is False or corner is None or job.design.light or job.nominal is not None:
         return straight
-    from metafab.library.use.oblique import oblique_change
-    from metafab.optics.sources.oblique import ObliqueField
-
-    corner, pillars = field_corner(design, Imaging.of(design)), straight.pillars
-    assert corner is not None  # the design asks for a scene
-    key = fingerprint(design), pillars.numbers().tobytes(), file_mark(library_path(job))
+    if asked is None and not _outweighs_neighbours(job, straight):
+        return straight
+    try:
+        require_reach(tangents, reach_of(corner))
+    except InputError:
+        if asked is None:
+            return straight
+        raise
+    pillars = straight.pillars
 
     def solved() -> ObliqueChange | None:
         return oblique_change(open_library(job), pillars.size_nm(), pillars.numbers(), corner, job.work)
 
-    if (change := _OBLIQUE.of(key, solved)) is None:
-        raise InputError(design.name, [unsolved_angles("others, or none")])
+    if (change := _OBLIQUE.of(_sizes_key(job, pillars), solved)) is None:
+        raise InputError(job.design.name, [unsolved_angles("others, or none")])
     return ObliqueField(straight, change)
+
+
+def oblique_error(job: Job, light: WrittenField | NeighbourField | ObliqueField) -> float | None:
+    """Error of the pillars' light from the corner of the field; None without a field, and where it is not solved."""
+    from metafab.library.use.oblique import oblique_field_error
+    from metafab.optics.geometry.imaging import Imaging, field_corner
+    from metafab.optics.sources.oblique import ObliqueField
+
+    if isinstance(light, ObliqueField):
+        return light.change.left
+    corner, pillars = field_corner(job.design, Imaging.of(job.design)), light.pillars
+    if corner is None:
+        return None
+
+    def solved() -> float | None:
+        library, workers = open_library(job), job.work.workers
+        return oblique_field_error(library, pillars.size_nm(), pillars.numbers(), corner, workers)
+
+    return solved() if job.nominal is not None else _OBLIQUE_ERROR.of(_sizes_key(job, pillars), solved)
+
+
+def _outweighs_neighbours(job: Job, straight: WrittenField | NeighbourField) -> bool:
+    """Whether light at angles changes the field by more than the model of neighbours errs, as the budget has both."""
+    from metafab.optics import NeighbourField
+
+    neighbours = open_library(job).neighbours
+    if not isinstance(straight, NeighbourField) or neighbours is None:
+        return False
+    return (oblique_error(job, straight) or 0.0) > neighbours.overall.error_alike
 
 
 def unsolved_angles(got: str) -> Fault:
@@ -120,20 +163,20 @@ def source_of(
     printed: Printed | None,
     sizes: Path | None = None,
     *,
-    on_axis: bool = False,
+    tangents: Sequence[Tangent] = (),
 ) -> tuple[Source, float]:
     """Pillars and their light; relative error of the amplitudes of made pillars, NaN for others.
 
-    ``on_axis`` says that only light along the axis is needed. That of made and of measured pillars is the same from all
-    directions.
+    ``tangents`` are the directions from which light is needed, by default those of the scene's field. The light of made
+    and of measured pillars is the same from all directions.
     """
     if path is None:
         return lit_source(job, ideal_source(job)), math.nan
     if sizes is not None:
         return lit_source(job, _measured_field(job, path, copy, sizes)), math.nan
     if printed is None:
-        pillars = written_light(job, path, copy)
-        return lit_source(job, pillars if on_axis else light_over_field(job, pillars)), math.nan
+        pillars, is_on_axis = written_light(job, path, copy), set(tangents) == {(0.0, 0.0)}
+        return lit_source(job, pillars if is_on_axis else light_over_field(job, pillars, tangents)), math.nan
     made = made_mask(job, path, printed, copy).field
     return lit_source(job, made.field), made.error
 
@@ -145,6 +188,11 @@ def _measured_field(job: Job, path: Path, copy: int, sizes: Path) -> WrittenFiel
 
     library = open_library(job)
     return made_field(with_measured_sizes(mask_source(job, path, copy).pillars, sizes, library), library)
+
+
+def _sizes_key(job: Job, pillars: PillarMap) -> Hashable:
+    """Key of the sizes of a mask and of the library that solves them."""
+    return fingerprint(job.design), pillars.numbers().tobytes(), file_mark(library_path(job))
 
 
 def _pillars_key(job: Job, path: Path, copy: int, angles: int | None) -> Hashable:

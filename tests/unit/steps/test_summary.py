@@ -14,6 +14,7 @@ from metafab.core.figures import LightMapping, LineStatistics
 from metafab.core.storage.files import file_sha256
 from metafab.fullwave.coupling import Coupling, CouplingRow
 from metafab.spec import Design, load_design, write_new
+from metafab.spec.design import Optics
 from metafab.spec.new import NewLens
 from metafab.steps.images import DecodeFigures
 from metafab.steps.job import Job
@@ -162,6 +163,23 @@ def test_each_saving_has_its_numbers_and_its_error(small_design: Design) -> None
     assert depths.of is None
     rows, columns = small_design.scene.field_px if small_design.scene else (0, 0)
     assert by_name["psf", "directions of the field"].of == rows * columns
+
+
+def test_light_at_angles_that_is_left_out_has_its_reason(small_design: Design) -> None:
+    left_out, name = replace(PSF, oblique_error=0.02), "angles of the light on pillars"
+    model = replace(run_summary().library or Mock(), neighbours=LineStatistics(error_alike=0.03))
+    among = replace(left_out, with_neighbours=True)
+    refused = replace(small_design, optics=Optics(oblique=False))
+    for design, psf, reason in (
+        (small_design, left_out, "which the library does not know"),
+        (small_design, among, "errs by more, 0.03"),
+        (refused, among, "`optics.oblique` is false"),
+    ):
+        (found,) = (entry for entry in ledger(design, model, LAYOUT, psf, None) if entry.what == name)
+        assert reason in found.why
+        assert found.error == 0.02
+    carried = replace(left_out, oblique_change=0.09)
+    assert name not in {entry.what for entry in ledger(small_design, model, LAYOUT, carried, None)}
 
 
 def test_one_direction_of_the_field_is_named_and_its_error_is_not_measured(small_design: Design) -> None:

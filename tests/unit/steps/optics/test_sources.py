@@ -99,3 +99,27 @@ def test_light_depends_on_its_direction_on_request_alone(design: Design, tmp_pat
     assert first.change.coefficients[1].all()
     assert told == [("oblique light", done, told[-1][2]) for done in range(len(told))]
     assert told[-1][1] == told[-1][2] > 0
+    with pytest.raises(InputError, match="directions with cosines up to"):
+        light_over_field(Job(replace(asked.design, name="other"), tmp_path / "run", work), straight, [(0.5, 0.0)])
+    assert told[-1][1] == len(told) - 1, "refused before any size is solved"
+
+
+def test_the_error_budget_asks_for_light_at_angles(
+    design: Design, smooth_library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By default where it changes the field by more than the model of neighbours errs, and within the field."""
+    model, path = (
+        initial_model(LineShape(2, 1, 2), (100.0, 250.0), (100.0, 250.0), 1),
+        _write_mask(design, tmp_path, 300),
+    )
+    monkeypatch.setattr("metafab.library.use.oblique.oblique_field_error", lambda *_: 0.02)
+    lights = {}
+    for stated in (0.01, 0.03):
+        line = TrainedLine(model, LineStatistics(error_alike=stated))
+        library.save(replace(smooth_library, neighbours=Neighbours((line, line), (line, line))), design.library)
+        os.utime(design.library, ns=(1, round(1e9 * stated)))
+        for oblique, tangent in ((None, 0.0), (None, 0.5), (False, 0.0)):
+            job = Job(replace(design, optics=Optics(neighbours=True, oblique=oblique)), tmp_path / "run")
+            found = light_over_field(job, written_light(job, path), [(tangent, 0.0)])
+            lights[stated, oblique, tangent] = isinstance(found, ObliqueField)
+    assert [case for case, is_oblique in lights.items() if is_oblique] == [(0.01, None, 0.0)]
