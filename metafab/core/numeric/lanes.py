@@ -66,6 +66,28 @@ class _Call:
         """The number or vector at ``address``."""
         return self.builder.load(address, align=8)
 
+    def parts(self, array: int, element: Any) -> list[Any]:
+        """Addresses of the real and the imaginary parts of an element."""
+        place = self.builder.mul(element, self.number(ELEMENT))
+        return [self.vector(array, place, offset) for offset in (0, LANES)]
+
+    def loaded(self, parts: Sequence[Any]) -> list[Any]:
+        """Vectors at both addresses."""
+        return [self.load(part) for part in parts]
+
+    def store(self, values: Sequence[Any], parts: Sequence[Any]) -> None:
+        """Write both vectors to their addresses."""
+        for value, part in zip(values, parts, strict=True):
+            self.builder.store(value, part, align=8)
+
+    def less(self, c: Sequence[Any], f: Sequence[Any], x: Sequence[Any]) -> tuple[Any, Any]:
+        """The vectors of c - f x."""
+        subtract, add, multiply = self.builder.fsub, self.builder.fadd, self.builder.fmul
+        re = subtract(c[0], multiply(f[0], x[0], flags=_FUSED), flags=_FUSED)
+        im = subtract(c[1], multiply(f[0], x[1], flags=_FUSED), flags=_FUSED)
+        re = add(re, multiply(f[1], x[1], flags=_FUSED), flags=_FUSED)
+        return re, subtract(im, multiply(f[1], x[0], flags=_FUSED), flags=_FUSED)
+
     def splat(self, number: Any) -> Any:
         """A vector of equal numbers."""
         undefined, integer = ir.Constant(_VECTOR, ir.Undefined), ir.IntType(32)
@@ -94,18 +116,12 @@ def _subtracts(fixed: int | None) -> Callable[..., None]:
             builder, arguments = this.builder, this.arguments
 
             def parts(array: int, step: Any) -> list[Any]:
-                place = builder.mul(builder.add(arguments[array + 1], step), this.number(ELEMENT))
-                return [this.vector(array, place, offset) for offset in (0, LANES)]
+                return this.parts(array, builder.add(arguments[array + 1], step))
 
             def products(f: Sequence[Any], x: Sequence[Any], into: Sequence[Any]) -> None:
                 """Subtract one product of lanes."""
-                (f_re, f_im), (x_re, x_im), (c_re, c_im) = ((this.load(part) for part in each) for each in (f, x, into))
-                c_re = builder.fsub(c_re, builder.fmul(f_re, x_re, flags=_FUSED), flags=_FUSED)
-                c_re = builder.fadd(c_re, builder.fmul(f_im, x_im, flags=_FUSED), flags=_FUSED)
-                c_im = builder.fsub(c_im, builder.fmul(f_re, x_im, flags=_FUSED), flags=_FUSED)
-                c_im = builder.fsub(c_im, builder.fmul(f_im, x_re, flags=_FUSED), flags=_FUSED)
-                for part, value in zip(into, (c_re, c_im), strict=True):
-                    builder.store(value, part, align=8)
+                f, x, sums = (this.loaded(each) for each in (f, x, into))
+                this.store(this.less(sums, f, x), into)
 
             held = [] if fixed is None else [_CODE.alloca_once(builder, _VECTOR) for _ in range(2)]
             outside = [] if fixed is None else parts(fixed, this.number(0))
@@ -129,6 +145,57 @@ subtract_products = _subtracts(None)
 subtract_multiple = _subtracts(2)
 #: c[c_at] -= sum_k f[f_at + k] x[x_at + k].
 subtract_dot = _subtracts(0)
+
+
+@_operation
+def subtract_multiples(
+    _: Any, c: Any, c_at: Any, f: Any, f_at: Any, f_step: Any, x: Any, x_at: Any, x_step: Any, count: Any
+) -> tuple[Any, Write]:
+    """c[c_at + k] -= f[f_at] x[x_at + k] + f[f_at + f_step] x[x_at + x_step + k]."""
+
+    def write(*call: Any) -> None:
+        this = _Call(*call)
+        add, (_, c_at, _, f_at, f_step, _, x_at, x_step, count) = this.builder.add, this.arguments
+        factors = [this.loaded(this.parts(2, at)) for at in (f_at, add(f_at, f_step))]
+        with _CODE.for_range(this.builder, count) as loop:
+            into, first = this.parts(0, add(c_at, loop.index)), add(x_at, loop.index)
+            rest = this.loaded(into)
+            for factor, at in zip(factors, (first, add(first, x_step)), strict=True):
+                rest = this.less(rest, factor, this.loaded(this.parts(5, at)))
+            this.store(rest, into)
+
+    return types.void(c, c_at, f, f_at, f_step, x, x_at, x_step, count), write
+
+
+@_operation
+def add_turned(
+    _: Any, into: Any, at: Any, values: Any, begin: Any, places: Any, turn: Any, i: Any, j: Any
+) -> tuple[Any, Write]:
+    """Add T_i V T_j^T, T_k = [[1, f_k], [-f_k, 1]] with ``turn`` f, to the elements at + ``places`` of ``into``.
+
+    ``places`` are those of V_00, V_01, V_10 and V_11, at begin + ``places`` of ``values``. Equal places get equal sums.
+    """
+
+    def write(*call: Any) -> None:
+        this = _Call(*call)
+        add, (_, at, _, begin, places, _, i, j) = this.builder.add, this.arguments
+        four = _CODE.unpack_tuple(this.builder, places, 4)
+        v00, v01, v10, v11 = (this.loaded(this.parts(2, add(begin, place))) for place in four)
+        factors = []
+        for k in (i, j):
+            re, im = this.loaded(this.parts(5, k))
+            factors.append(((re, im), (this.builder.fneg(re), this.builder.fneg(im))))
+        (f, less_f), (g, less_g) = factors
+        v00, v10 = this.less(v00, less_f, v10), this.less(v10, f, v00)
+        v01, v11 = this.less(v01, less_f, v11), this.less(v11, f, v01)
+        v00, v01 = this.less(v00, less_g, v01), this.less(v01, g, v00)
+        v10, v11 = this.less(v10, less_g, v11), this.less(v11, g, v10)
+        sums = [this.parts(0, add(at, place)) for place in four]
+        before = [this.loaded(each) for each in sums]
+        for parts, old, new in zip(sums, before, (v00, v01, v10, v11), strict=True):
+            this.store([this.builder.fadd(a, b) for a, b in zip(old, new, strict=True)], parts)
+
+    return types.void(into, at, values, begin, places, turn, i, j), write
 
 
 @_operation
