@@ -60,6 +60,18 @@ def test_long_lines_end_in_closed_ones() -> None:
     assert np.abs(middle - closed).max() < 1e-10
 
 
+def test_parts_of_long_lines_are_those_of_a_dense_solve() -> None:
+    """Each part is substituted back from sites beyond it, where the amplitudes have an error that decays."""
+    rng = np.random.default_rng(3)
+    model = initial_model(LineShape(3, 2, 2), SPAN, SPAN, 1)
+    sizes = np.concatenate([[[0.0, 0.0]], rng.uniform(*SPAN, (50, 2))])
+    index = rng.integers(1, 51, (1, 170)).astype(np.uint16)
+    tables, dense = SizeTables.of(model, sizes), _dense(model, sizes[index[0]])
+    assert np.abs(open_line_corrections(tables, index)[0] - dense).max() < 1e-10
+    again, _ = open_line_slopes(tables, index, np.ones((1, 170)))
+    assert np.abs(again[0] - dense).max() < 1e-10
+
+
 def test_slopes_are_those_of_a_weighted_sum() -> None:
     """Derivatives at the sites of a line with a gap against differences of a dense solve."""
     rng = np.random.default_rng(3)
