@@ -80,13 +80,13 @@ class _Call:
         for value, part in zip(values, parts, strict=True):
             self.builder.store(value, part, align=8)
 
-    def less(self, c: Sequence[Any], f: Sequence[Any], x: Sequence[Any]) -> tuple[Any, Any]:
+    def less(self, c: Sequence[Any], f: Sequence[Any], x: Sequence[Any]) -> list[Any]:
         """The vectors of c - f x."""
         subtract, add, multiply = self.builder.fsub, self.builder.fadd, self.builder.fmul
         re = subtract(c[0], multiply(f[0], x[0], flags=_FUSED), flags=_FUSED)
         im = subtract(c[1], multiply(f[0], x[1], flags=_FUSED), flags=_FUSED)
         re = add(re, multiply(f[1], x[1], flags=_FUSED), flags=_FUSED)
-        return re, subtract(im, multiply(f[1], x[0], flags=_FUSED), flags=_FUSED)
+        return [re, subtract(im, multiply(f[1], x[0], flags=_FUSED), flags=_FUSED)]
 
     def splat(self, number: Any) -> Any:
         """A vector of equal numbers."""
