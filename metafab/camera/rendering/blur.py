@@ -6,6 +6,7 @@ sum_k b_k * (c_k f), with maps c_k of coefficients over the object f. A layer co
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,15 +65,21 @@ class FieldBlur:
         return np.asarray(self._spread(light[None], maps)[0])
 
     def veil(
-        self, light: FloatArray, coverage: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Blur a layer's light and a coverage at its depth with few basis kernels; shapes are those of a call.
+        self,
+        light: Sequence[FloatArray],
+        coverage: Sequence[FloatArray],
+        tangent_x: FloatArray,
+        tangent_y: FloatArray,
+    ) -> FloatArray:
+        """Blur the light of layers and coverages at their depth with few basis kernels; shapes are those of a call.
 
-        Coverage is blurred by kernels of sum 1, so that a layer that fills the view covers all of it.
+        Coverages are blurred by kernels of sum 1, so that a layer that fills the view covers all of it.
+
+        Returns:
+            The light of the layers and, after it, the coverages, along the first axis.
         """
         maps, throughput = self._maps(tangent_x, tangent_y, self.veil_count)
-        spread, covered = self._spread(np.stack([light, coverage / np.maximum(throughput, _DARK)]), maps)
-        return spread, covered
+        return self._spread(np.stack([*light, *(each / np.maximum(throughput, _DARK) for each in coverage)]), maps)
 
     def _maps(self, tangent_x: FloatArray, tangent_y: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Coefficients of the leading basis kernels, (count, n_y, n_x), and throughput, (n_y, n_x), at directions."""

@@ -200,10 +200,13 @@ class Lens:
         place = tuple(slice(max(0, at.start), min(n, at.stop)) for at, n in zip(whole, light.shape, strict=True))
         cut = tuple(shifted(at, -full.start) for at, full in zip(place, whole, strict=True))
         seen_flux = np.pad(flux, [(wide, wide) for wide in margin])
+        covered = np.minimum(own.coverage, share)
         if share.min() < 1.0 and share[own.coverage > 0.0].any():
-            mean_light, hidden = blur.veil(seen_flux, 1.0 - share, *directions)
+            mean_light, hidden, covered = blur.veil([seen_flux], [1.0 - share, covered], *directions)
             light[place] += mean_light[cut] * (hidden[cut] - veil[place])
-        veil[place] += blur.veil(seen_flux, np.minimum(own.coverage, share), *directions)[1][cut]
+        else:
+            (covered,) = blur.veil([], [covered], *directions)
+        veil[place] += covered[cut]
 
     def _darken(
         self,
