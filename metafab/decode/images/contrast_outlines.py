@@ -20,6 +20,7 @@ from scipy.special import expit, logit
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.distance import box_about
+from metafab.core.parallel.executor import spread
 from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.fit import across_outlines, connected_moves
@@ -128,17 +129,28 @@ def _log_ratio(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -
     return np.where(known, np.log(np.where(known, light[0], 1.0) / np.where(known, light[1], 1.0)), np.nan)
 
 
-@compiled
 def block_sums(images: NDArray[np.float32], step: int, shape: tuple[int, int]) -> NDArray[np.float32]:
     """Sums of images (n, n_y, n_x) over the block of ``step`` pixels about each downsampled pixel: (n, *shape)."""
-    n_images, n_y, n_x = images.shape
-    sums = np.zeros((n_images, shape[0], shape[1]), dtype=np.float32)
-    for image in range(n_images):
-        for i in range(n_y):
-            to, line = sums[image, min((i + step // 2) // step, shape[0] - 1)], images[image, i]
-            for j in range(n_x):
-                to[min((j + step // 2) // step, shape[1] - 1)] += line[j]
+    sums = np.zeros((len(images), *shape), dtype=np.float32)
+    spread(_block_sums, shape[0], images, step, sums)
     return sums
+
+
+@compiled
+def _block_sums(first: int, stop: int, images: NDArray[np.float32], step: int, sums: NDArray[np.float32]) -> None:
+    _, n_y, n_x = images.shape
+    before, (count, rows, columns) = step // 2, sums.shape
+    # The first and the last blocks hold the pixels beyond them.
+    edges = np.minimum(np.maximum(np.arange(columns + 1) * step - before, 0), n_x)
+    edges[0], edges[columns] = 0, n_x
+    for image in range(count):
+        for row in range(first, stop):
+            end = n_y if row == rows - 1 else min((row + 1) * step - before, n_y)
+            for i in range(max(row * step - before, 0), end):
+                to, line = sums[image, row], images[image, i]
+                for column in range(columns):
+                    for j in range(edges[column], edges[column + 1]):
+                        to[column] += line[j]
 
 
 def _classes(ratio: FloatArray, regions: Regions) -> tuple[FloatArray, FloatArray]:

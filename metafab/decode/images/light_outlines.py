@@ -12,10 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter, minimum_filter, watershed_ift
+from scipy.ndimage import watershed_ift
 
 from metafab.decode.images.contrast_outlines import block_sums
 from metafab.decode.images.deconvolution import SharpImages
+from metafab.decode.matching.pooling import window_maxima
 from metafab.decode.segmentation.fit import across_outlines, connected_moves
 from metafab.decode.segmentation.frame_model import FrameModel
 from metafab.decode.segmentation.layer_light import LayerOptics
@@ -86,7 +87,6 @@ def _changes(light: NDArray[np.float32]) -> NDArray[np.uint16]:
     Shape (n_y, n_x), in units of its largest.
     """
     logarithm = np.log(np.maximum(light, 0.0) + np.float32(_ADDED_LIGHT) * light.mean() + np.float32(1e-9))
-    size = (1, 3, 3)
-    change = np.sqrt(((maximum_filter(logarithm, size) - minimum_filter(logarithm, size)) ** 2).sum(axis=0))
+    change = np.sqrt(sum((window_maxima(one, 3) + window_maxima(-one, 3)) ** 2 for one in logarithm))
     largest = max(float(np.quantile(change, _LARGEST_CHANGE)), 1e-9)
     return np.asarray(np.minimum(change / largest, 1.0) * np.iinfo(np.uint16).max, dtype=np.uint16)

@@ -11,15 +11,16 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.distance import distance, nearest
-from metafab.decode.confidence import differs
+from metafab.core.parallel.executor import spread
+from metafab.decode.confidence import RIGHT_WITHIN
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
@@ -293,30 +294,70 @@ def across_outlines(
     Args:
         label: shape (n_y, n_x), number of each pixel's segment; 0 for none.
         vergence_per_m: shape (n_y, n_x), 1/depth of each pixel's segment. Where it is given, outlines between depths
-            that do not differ (:func:`differs`) do not count: either depth is right there.
+            that do not differ (:func:`metafab.decode.confidence.differs`) do not count: either depth is right there.
 
     Returns:
         Number of the other segment, 0 for none, and distance in pixels, inf without an outline: shapes (n_y, n_x).
     """
-
-    def differ(one: Any, other: Any) -> NDArray[np.bool_]:
-        unlike: NDArray[np.bool_] = label[one] != label[other]
-        if vergence_per_m is not None:
-            unlike &= differs(vergence_per_m[one], vergence_per_m[other])
-        return unlike
-
-    beside = np.zeros_like(label)
-    for one, other in (
-        ((slice(1, None),), (slice(None, -1),)),
-        ((slice(None), slice(1, None)), (slice(None), slice(None, -1))),
-    ):
-        meet = (label[one] > 0) & (label[other] > 0) & differ(one, other)
-        np.copyto(beside[one], label[other], where=meet)
-        np.copyto(beside[other], label[one], where=meet)
+    label = np.ascontiguousarray(label)
+    vergence = np.zeros((0, 0)) if vergence_per_m is None else vergence_per_m
+    beside, across = np.zeros_like(label), np.empty_like(label)
+    spread(_find_outlines, label.shape[0], label, vergence, beside)
     away, row, column = nearest(beside > 0)
-    # The nearest pixel along an outline may lie beyond it: then it belongs to the other segment.
-    beyond = differ((row, column), ...)
-    return np.where(beyond, label[row, column], beside[row, column]).astype(np.int32), away
+    spread(_look_across, label.shape[0], label, vergence, beside, row, column, across)
+    return across, away
+
+
+@compiled
+def _find_outlines(
+    first: int, stop: int, label: NDArray[np.int32], vergence: FloatArray, beside: NDArray[np.int32]
+) -> None:
+    """Write the other segment beside each pixel on an outline: the one on its right, left, below or above."""
+    n_y, n_x = label.shape
+    for i in range(first, stop):
+        for j in range(n_x):
+            if label[i, j] == 0:
+                continue
+            for down, along in ((0, 1), (0, -1), (1, 0), (-1, 0)):
+                other, at = i + down, j + along
+                if not (0 <= other < n_y and 0 <= at < n_x) or label[other, at] == 0:
+                    continue
+                # Of two neighbours, the lower or the right one's depth is that to which the difference is compared.
+                after = down + along > 0
+                if (after and _differ(label, vergence, other, at, i, j)) or (
+                    not after and _differ(label, vergence, i, j, other, at)
+                ):
+                    beside[i, j] = label[other, at]
+                    break
+
+
+@compiled
+def _look_across(
+    first: int,
+    stop: int,
+    label: NDArray[np.int32],
+    vergence: FloatArray,
+    beside: NDArray[np.int32],
+    row: NDArray[np.int32],
+    column: NDArray[np.int32],
+    across: NDArray[np.int32],
+) -> None:
+    """Write the segment across the outline at the nearest pixel along one."""
+    for i in range(first, stop):
+        for j in range(label.shape[1]):
+            at = row[i, j], column[i, j]
+            # The nearest pixel along an outline may lie beyond it: then it belongs to the other segment.
+            across[i, j] = label[at] if _differ(label, vergence, *at, i, j) else beside[at]
+
+
+@compiled
+def _differ(label: NDArray[np.int32], vergence: FloatArray, row: int, column: int, i: int, j: int) -> bool:
+    """Whether two pixels have unlike segments, and depths that differ if these are given."""
+    if label[row, column] == label[i, j]:
+        return False
+    if not vergence.size:
+        return True
+    return bool(abs(vergence[row, column] - vergence[i, j]) > RIGHT_WITHIN * vergence[row, column])
 
 
 def plane_misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_], free: int) -> float:

@@ -11,12 +11,11 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_fill_holes, find_objects
+from scipy.ndimage import find_objects
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance, nearest
 from metafab.core.parallel.executor import kept_threads
-from metafab.decode.matching.pooling import window_means
 from metafab.decode.registration.tiles import Tiling, Value
 from metafab.decode.segmentation.layer_light import LayerOptics
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
@@ -29,16 +28,8 @@ _BAND_PX = 20
 _FIRST_FALL_PX = 6.0
 #: Distance up to which a segment is grown over lit pixels without one, frame pixels.
 _GROWN_PX = 60
-#: Error of the calibration as a share of the light.
-_MODEL_ERROR = 0.01
-#: Least variance of a pixel, over that of a typical one.
-_LEAST_VARIANCE = 0.05
 #: Standard deviation of the Gaussian over which energy is pooled, frame pixels.
 _POOLED_PX = 4.0
-#: Side of the window whose mean light scales a texture, frame pixels.
-_LIGHT_PX = 21
-#: Distance over which light from beyond the window is mixed in, frame pixels.
-_BLUR_PX = 12
 #: Distance from a tile's edge up to which its pixels do not count, frame pixels: light from beyond is mixed in. 9 px
 #: give the same errors, 18 px a tenth more.
 _GUARD_PX = 12
@@ -75,9 +66,7 @@ class FrameLayers:
         count, segments = len(regions.depths), regions.grown
         step, margin = prepared.downsampling.step, prepared.downsampling.margin
         away, row, column = nearest(segments > 0)
-        # Dark parts that light encloses send some, too: without it, no outline nearby fits.
-        lit = binary_fill_holes(prepared.lit)
-        label = np.where(lit & (away * step <= _GROWN_PX), segments[row, column], 0).astype(np.int32)
+        label = np.where(prepared.enclosed & (away * step <= _GROWN_PX), segments[row, column], 0).astype(np.int32)
         if not np.bincount(label.ravel(), minlength=count + 1)[1:].all():
             return None
         vergence, middles = np.empty((count, 2)), np.empty((count, optics.tiling.n_tiles))
@@ -86,7 +75,7 @@ class FrameLayers:
             vergence[index] = own.min(), own.max()
             middles[index] = np.clip(plane.at(*optics.tiling.middles.T.astype(np.float64)), own.min(), own.max())
         hidden_px = _BAND_PX + step * float(np.abs(optics.shifts_px_m).max()) * (vergence.max() - vergence.min())
-        wide, lit = np.pad(label, margin), np.pad(lit, margin)
+        wide, lit = np.pad(label, margin), np.pad(prepared.enclosed, margin)
         away_px = _distances(wide, count, hidden_px / step) * np.float32(step)
         near = ((away_px <= _BAND_PX) & lit).sum(axis=0, dtype=np.uint8)
         # A piece without pixels away from its outline has none from which its light could be measured: it stays.
@@ -119,10 +108,8 @@ class FrameLayers:
         if not tiles or int(ends[-1]) * n_y * n_x * _BYTES_A_PIXEL > _MOST_BYTES:
             return []
         parts = pairwise([0, *(np.flatnonzero(np.diff(ends // _PAIRS_AT_ONCE)) + 1).tolist(), len(tiles)])
-        mean = window_means(self.prepared.images, max(3, _LIGHT_PX // self.prepared.downsampling.step | 1))
-        pictures = self._weight(mean), np.maximum(mean.mean(axis=0), np.float32(1e-3))
         with kept_threads() as pool:
-            return list(pool.map(lambda part: self._group(tiles[slice(*part)], *pictures), parts))
+            return list(pool.map(lambda part: self._group(tiles[slice(*part)]), parts))
 
     def write_cores(self, group: TileGroup, pictures: NDArray[Value], to: NDArray[Value]) -> None:
         """Write the cores of the tiles' pictures, shape (n_tiles, n_y, n_x), to their places in the window."""
@@ -142,15 +129,9 @@ class FrameLayers:
                 tiles.append((tile, about))
         return tiles
 
-    def _group(
-        self, tiles: list[tuple[int, list[int]]], weight: NDArray[np.float32], light: NDArray[np.float32]
-    ) -> TileGroup:
-        """Cut tiles, with the indices of the layers in each, out of the frame's pictures.
-
-        ``weight`` is the inverse standard deviation of each pixel, ``light`` the mean light around it, electrons,
-        positive.
-        """
-        tiling, step = self.optics.tiling, self.prepared.downsampling.step
+    def _group(self, tiles: list[tuple[int, list[int]]]) -> TileGroup:
+        """Cut tiles, with the indices of the layers in each, out of the frame's pictures."""
+        prepared, tiling, step = self.prepared, self.optics.tiling, self.prepared.downsampling.step
         numbers, counts = [tile for tile, _ in tiles], [len(layers) for _, layers in tiles]
         layer = np.array([k for _, layers in tiles for k in layers])
         of_tile = np.repeat(np.arange(len(tiles)), counts)
@@ -171,7 +152,8 @@ class FrameLayers:
         core[self._core] = True
         counted[self._counted] = True
         images, weights, lights = (
-            np.stack([tiling.window(one, tile) for tile in numbers]) for one in (self.prepared.images, weight, light)
+            np.stack([tiling.window(one, tile) for tile in numbers])
+            for one in (prepared.images, prepared.weight, prepared.light_around)
         )
         nearer = self._is_nearer(layer, layer[:, None]) & (of_tile[:, None] == of_tile)
         hiding = [
@@ -183,7 +165,7 @@ class FrameLayers:
             hiding,
             images,
             weights * counted,
-            np.maximum(lights, light.min()),
+            np.maximum(lights, prepared.light_around.min()),
             allowed,
             away <= self.hidden_px,
             _POOLED_PX / step,
@@ -202,25 +184,6 @@ class FrameLayers:
         """The part of a tile whose pixels count."""
         guard = _GUARD_PX // self.prepared.downsampling.step
         return tuple(slice(guard, n - guard) for n in self.optics.tiling.size)
-
-    def _weight(self, mean: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Inverse standard deviation of each pixel of the images, 0 where it is not modelled: their shape.
-
-        ``mean``: light about each pixel, the shape of the images.
-        """
-        prepared = self.prepared
-        step, margin = prepared.downsampling.step, prepared.downsampling.margin
-        # Dark pixels are not known better than a frame's usual noise allows, whatever read noise it states.
-        floor_e2 = prepared.levels.read_noise_e**2 + _LEAST_VARIANCE * prepared.levels.noise_variance
-        variance = np.maximum(mean, np.float32(0.0)) + np.float32(floor_e2)
-        sigma = np.sqrt(variance / step**2 + (_MODEL_ERROR * mean) ** 2 + np.float32(1e-9))
-        weight = (1.0 / sigma).astype(np.float32)
-        # Light from beyond the window is not modelled.
-        beyond = prepared.images.sum(axis=0) > np.pad(prepared.floor_e, margin, mode="edge")
-        beyond[prepared.downsampling.inner] = False
-        weight[:, distance(beyond) * step <= _BLUR_PX] = 0.0
-        weight[:, *prepared.downsampling.inner][:, prepared.spoiled] = 0.0
-        return weight
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from scipy.ndimage import binary_dilation
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.distance import box_about
 from metafab.core.numeric.interpolation import spline_weights
 from metafab.decode.matching.cost_volume import CostVolume, correlation
@@ -199,19 +200,10 @@ def fit_plane(cells: Cells) -> Plane | None:
     weight = 1.0 / cells.error_per_m[known] ** 2
     centre = float(np.average(row, weights=weight)), float(np.average(column, weights=weight))
     design = np.stack([np.ones(row.size), row - centre[0], column - centre[1]], axis=1)
-    solution = _least_median_of_squares(design, vergence, np.sqrt(weight))
-    scale, biweight = 1.0, np.ones(row.size)
-    for _ in range(_TUKEY_ROUNDS):
-        residual = np.abs(vergence - design @ solution) * np.sqrt(weight)
-        scale = max(1.0, 1.48 * float(np.median(residual)))
-        biweight = np.clip(1.0 - (residual / (_TUKEY * scale)) ** 2, 0.0, None) ** 2
-        normal = design.T @ (design * (weight * biweight)[:, None])
-        if not np.linalg.det(normal) > _DEGENERATE * np.prod(np.diag(normal)):
-            return None
-        before = solution
-        solution = np.asarray(np.linalg.solve(normal, design.T @ (weight * biweight * vergence)), dtype=np.float64)
-        if np.abs(design @ (solution - before)).max() < 1e-9 * abs(solution[0]):
-            break
+    triples = np.random.default_rng(0).integers(0, vergence.size, (_TRIPLES, 3))
+    solution, biweight, scale = _robust_plane(triples, design, vergence, np.sqrt(weight))
+    if not np.isfinite(scale):
+        return None
     normal = design.T @ (design * (weight * biweight)[:, None]) / scale**2
     slope = solution[1:]
     slope_information = normal[1:, 1:] - np.outer(normal[1:, 0], normal[0, 1:]) / normal[0, 0]
@@ -221,18 +213,98 @@ def fit_plane(cells: Cells) -> Plane | None:
     return Plane(float(solution[0]), (float(slope[0]), float(slope[1])), centre)
 
 
-def _least_median_of_squares(design: FloatArray, vergence: FloatArray, weight: FloatArray) -> FloatArray:
-    """Of planes through random triples of cells, the one of least median residual: a third may be outliers."""
-    rng = np.random.default_rng(0)
-    picks = rng.integers(0, vergence.size, (_TRIPLES, 3))
-    corners = design[picks]  # a cell that is picked twice gives no area, and is left out with other narrow triples
-    wide = np.abs(np.linalg.det(corners)) > 0.1 * np.ptp(design[:, 1]) * np.ptp(design[:, 2])
-    if not wide.any():
-        return np.array([float(np.median(vergence)), 0.0, 0.0])
-    planes = np.linalg.solve(corners[wide], vergence[picks[wide]][..., None])[..., 0]
-    residual = np.abs(vergence - planes @ design.T) * weight
-    middle = vergence.size // 2
-    return np.asarray(planes[np.partition(residual, middle, axis=1)[:, middle].argmin()])
+@compiled
+def _robust_plane(
+    triples: NDArray[np.int64], design: FloatArray, vergence: FloatArray, root: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """The plane of least median residual, refined by Tukey's biweight.
+
+    Args:
+        triples: shape (n_triples, 3), cells through which planes are tried.
+        design: shape (n, 3), 1 and the place of each cell along y and x.
+        vergence: shape (n,), 1/depth of each cell.
+        root: shape (n,), inverse standard error of each.
+
+    Returns:
+        Factors of the design's columns, biweight of each cell and scale of the residuals in standard errors; inf if the
+        cells that count lie on one line.
+    """
+    solution = _least_median_of_squares(triples, design, vergence, root)
+    biweight, scale, count = np.ones(vergence.size), 1.0, vergence.size
+    for _ in range(_TUKEY_ROUNDS):
+        residual = np.empty(count)
+        for k in range(count):
+            fitted = solution[0] * design[k, 0] + solution[1] * design[k, 1] + solution[2] * design[k, 2]
+            residual[k] = abs(vergence[k] - fitted) * root[k]
+        scale = max(1.0, 1.48 * np.median(residual))
+        normal, right = np.zeros((3, 3)), np.zeros(3)
+        for k in range(count):
+            kept = max(1.0 - (residual[k] / (_TUKEY * scale)) ** 2, 0.0)
+            biweight[k] = kept * kept
+            weight = root[k] * root[k] * biweight[k]
+            for i in range(3):
+                right[i] += weight * vergence[k] * design[k, i]
+                for j in range(3):
+                    normal[i, j] += weight * design[k, i] * design[k, j]
+        if not _determinant(normal) > _DEGENERATE * normal[0, 0] * normal[1, 1] * normal[2, 2]:
+            return solution, biweight, np.inf
+        before, solution = solution, _solved(normal, right)
+        change = 0.0
+        for k in range(count):
+            moved = 0.0
+            for i in range(3):
+                moved += design[k, i] * (solution[i] - before[i])
+            change = max(change, abs(moved))
+        if change < 1e-9 * abs(solution[0]):
+            break
+    return solution, biweight, scale
+
+
+@compiled
+def _least_median_of_squares(
+    triples: NDArray[np.int64], design: FloatArray, vergence: FloatArray, root: FloatArray
+) -> FloatArray:
+    """Of planes through triples of cells, the one of least median residual: a third of the cells may be outliers."""
+    best, least = np.array([np.median(vergence), 0.0, 0.0]), np.inf
+    middle, corners, at, residual = vergence.size // 2, np.empty((3, 3)), np.empty(3), np.empty(vergence.size)
+    narrow = 0.1 * (design[:, 1].max() - design[:, 1].min()) * (design[:, 2].max() - design[:, 2].min())
+    for triple in range(triples.shape[0]):
+        for i in range(3):
+            corners[i] = design[triples[triple, i]]
+            at[i] = vergence[triples[triple, i]]
+        # A cell that is picked twice gives no area.
+        if not abs(_determinant(corners)) > narrow:
+            continue
+        plane, smaller = _solved(corners, at), 0
+        for k in range(vergence.size):
+            fitted = plane[0] * design[k, 0] + plane[1] * design[k, 1] + plane[2] * design[k, 2]
+            residual[k] = abs(vergence[k] - fitted) * root[k]
+            smaller += residual[k] < least
+        # The median is sought only where it is less.
+        if smaller > middle:
+            best, least = plane, np.partition(residual, middle)[middle]
+    return best
+
+
+@compiled
+def _determinant(a: FloatArray) -> float:
+    """Determinant of a matrix of shape (3, 3)."""
+    return float(
+        a[0, 0] * (a[1, 1] * a[2, 2] - a[1, 2] * a[2, 1])
+        - a[0, 1] * (a[1, 0] * a[2, 2] - a[1, 2] * a[2, 0])
+        + a[0, 2] * (a[1, 0] * a[2, 1] - a[1, 1] * a[2, 0])
+    )
+
+
+@compiled
+def _solved(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Solution of a linear system, shapes (3, 3) and (3,), by Cramer's rule: shape (3,)."""
+    determinant, out, replaced = _determinant(a), np.empty(3), np.empty((3, 3))
+    for column in range(3):
+        replaced[:] = a
+        replaced[:, column] = b
+        out[column] = _determinant(replaced) / determinant
+    return out
 
 
 def ransac_planes(

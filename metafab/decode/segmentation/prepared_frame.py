@@ -46,6 +46,12 @@ _SPOILED_PX = 24
 #: The images fade around bright pixels, from where their blur is this multiple of a dim surface's light, over this
 #: distance (frame pixels). Around pixels of five times the light that is from 8 to 24 px; 4 to 20 px does as well.
 _FADED_BLUR, _FADE_PX = 2.0, 16.0
+#: Side of the window whose mean light scales a texture, frame pixels.
+_LIGHT_PX = 21
+#: Error of the calibration as a share of the light, and least variance of a pixel, over that of a typical one.
+_MODEL_ERROR, _LEAST_VARIANCE = 0.01, 0.05
+#: Distance over which light from beyond the window is mixed in, frame pixels.
+_BEYOND_PX = 12
 #: Distance from a lit pixel up to which images are deconvolved, downsampled pixels.
 _LIT_MARGIN_PX = 2
 #: Reason for an empty image of a dark frame.
@@ -185,6 +191,43 @@ class PreparedFrame:
     def lit(self) -> NDArray[np.bool_]:
         """Downsampled pixels with light: shape (n_y, n_x)."""
         return np.asarray(self.inner.sum(axis=0) > self.floor_e)
+
+    @cached_property
+    def enclosed(self) -> NDArray[np.bool_]:
+        """Lit pixels, and dark ones that these enclose: shape (n_y, n_x).
+
+        The latter send some light, without which no model of outlines nearby fits.
+        """
+        return np.asarray(binary_fill_holes(self.lit))
+
+    @cached_property
+    def _mean_around(self) -> NDArray[np.float32]:
+        """Mean about each pixel: shape (2, n_y, n_x) with margins, electrons."""
+        return window_means(self.images, max(3, _LIGHT_PX // self.downsampling.step | 1))
+
+    @cached_property
+    def light_around(self) -> NDArray[np.float32]:
+        """Mean light of both images about each pixel, which scales its texture: shape (n_y, n_x), electrons, positive.
+
+        With margins, as ``weight``.
+        """
+        return np.asarray(np.maximum(self._mean_around.mean(axis=0), np.float32(1e-3)))
+
+    @cached_property
+    def weight(self) -> NDArray[np.float32]:
+        """Inverse standard deviation of each pixel, 0 where no model holds: shape (2, n_y, n_x) with margins."""
+        step, mean = self.downsampling.step, self._mean_around
+        # Dark pixels are not known better than a frame's usual noise allows, whatever read noise it states.
+        floor_e2 = self.levels.read_noise_e**2 + _LEAST_VARIANCE * self.levels.noise_variance
+        variance = np.maximum(mean, np.float32(0.0)) + np.float32(floor_e2)
+        sigma = np.sqrt(variance / step**2 + (_MODEL_ERROR * mean) ** 2 + np.float32(1e-9))
+        weight = (1.0 / sigma).astype(np.float32)
+        # Light from beyond the window is not modelled.
+        beyond = self.images.sum(axis=0) > np.pad(self.floor_e, self.downsampling.margin, mode="edge")
+        beyond[self.downsampling.inner] = False
+        weight[:, distance(beyond) * step <= _BEYOND_PX] = 0.0
+        weight[:, *self.downsampling.inner][:, self.spoiled] = 0.0
+        return weight
 
     @property
     def near_light(self) -> NDArray[np.bool_]:

@@ -14,7 +14,9 @@ from scipy.ndimage import distance_transform_cdt, gaussian_filter1d
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.distance import box_about, distance, nearest
+from metafab.core.parallel.executor import spread
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, parabolic_peak, spline_peaks, standard_error
 from metafab.decode.matching.pooling import window_means
@@ -119,12 +121,17 @@ class Regions:
 
     def vergence_per_m(self, label: NDArray[np.int32]) -> FloatArray:
         """1/depth of each pixel's segment, for a label of shape (n_y, n_x): the same shape; NaN for none."""
-        one = np.array([np.nan, *(depth.vergence_per_m for depth in self.depths)])
-        vergence = one[label]
-        for number, depth in enumerate(self.depths, start=1):
-            if depth.plane.tilted:
-                np.copyto(vergence, depth.plane.over(label.shape), where=label == number)
-        return vergence
+        vergence = np.array([np.nan, *(depth.vergence_per_m for depth in self.depths)])
+        if not any(depth.plane.tilted for depth in self.depths):
+            return vergence[label]
+        surfaces = np.zeros((vergence.size, 8))
+        surfaces[:, 0] = vergence
+        for number, plane in enumerate((depth.plane for depth in self.depths), start=1):
+            if plane.tilted:
+                surfaces[number] = plane.vergence_per_m, *plane.slope_per_m, *plane.centre, *plane.curvature_per_m
+        out = np.empty(label.shape)
+        spread(_write_surfaces, label.shape[0], np.ascontiguousarray(label, dtype=np.int32), surfaces, out)
+        return out
 
     def bands(self, label: NDArray[np.int32], step_per_m: float) -> tuple[NDArray[np.int32], FloatArray]:
         """Cut tilted segments into bands of one depth, ``step_per_m`` of vergence apart; ``label`` counts from 1.
@@ -142,6 +149,17 @@ class Regions:
             bands[mask] = len(of_bands) + 1 + place
             of_bands += (depth.vergence_per_m + steps * step_per_m).tolist()
         return bands, np.array(of_bands)
+
+
+@compiled
+def _write_surfaces(first: int, stop: int, label: NDArray[np.int32], surfaces: FloatArray, out: FloatArray) -> None:
+    """Write each pixel's :meth:`Plane.at`; a surface is its vergence, slopes, centre and curvature."""
+    for i in range(first, stop):
+        for j in range(label.shape[1]):
+            at = surfaces[label[i, j]]
+            y, x = i - at[3], j - at[4]
+            rise = at[1] * y + at[2] * x + at[5] * (y * y) + at[6] * y * x + at[7] * (x * x)
+            out[i, j] = max(at[0] + rise, 0.01 * at[0])
 
 
 def depth_layers(pixels: PixelDepth, separation_per_m: float) -> FloatArray:
