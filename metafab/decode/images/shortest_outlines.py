@@ -88,7 +88,7 @@ def _length_cost(light: NDArray[np.float32], lit: NDArray[np.bool_]) -> NDArray[
     """Cost of an outline's length at each pixel, by the change of the light (2, n_y, n_x) to the next: (n_y, n_x)."""
     logarithm = np.log(np.maximum(light, 0.0) + np.float32(_ADDED_LIGHT) * light.mean() + np.float32(1e-9))
     rise = [np.diff(logarithm, axis=axis, append=logarithm.take([-1], axis=axis)) for axis in (1, 2)]
-    change = np.sqrt(np.square(rise).sum(axis=(0, 1)))
+    change = np.sqrt((np.square(rise)).sum(axis=(0, 1)))
     return np.where(lit, _LENGTH_COST * np.exp(-change / _EDGE), 0.0).astype(np.float32)
 
 
