@@ -142,7 +142,7 @@ def test_a_block_that_is_its_image_under_a_half_turn_needs_half_of_the_functions
     ("supercell", "field"),
     [
         (_row((348.0, 120.0)), "size_nm"),
-        (Supercell(EMPTY, np.full((8, 8, 2), 120.0)), "size_nm"),
+        (Supercell(EMPTY, np.linspace(100.0, 140.0, 128).reshape(8, 8, 2)), "size_nm"),
         (Supercell(replace(EMPTY, n_substrate=(1.76, 1.75)), BLOCK), "n_substrate"),
     ],
 )
