@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation
 from scipy.ndimage import label as connected_components
+from scipy.special import expit, logit
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
@@ -72,10 +73,11 @@ def moved_outlines(
         asked &= where
     if not asked.any():
         return regions
-    own, other = (
-        0.5 * ((ratio - middle[number]) / spread[number]) ** 2 + np.log(spread[number]) for number in (label, across)
-    )
-    odds = np.where(asked, np.clip(other - own, -_MOST_ODDS, _MOST_ODDS), 0.0)
+    # A window half in either surface: with the spread of each, the outline would move into the more even one.
+    halfway = logit(0.5 * (expit(middle[label]) + expit(middle[across])))
+    variance = 0.5 * (spread[label] ** 2 + spread[across] ** 2)
+    odds = (middle[label] - middle[across]) * (ratio - halfway) / variance
+    odds = np.where(asked, np.clip(odds, -_MOST_ODDS, _MOST_ODDS), 0.0)
     prior = np.clip(regions.right, _LEAST_DOUBT, 1.0 - _LEAST_DOUBT)
     right = 1.0 / (1.0 + (1.0 / prior - 1.0) * np.exp(-odds))
     moved = connected_moves(label, np.where(asked & (right < 0.5), across, 0))

@@ -107,3 +107,12 @@ def test_a_sliver_that_is_cut_off_goes_with_the_pixels_that_cut_it_off() -> None
     assert (after.grown[:, : EDGE - 4] == 1).all()
     assert after.right is not None
     assert after.right[:, EDGE].max() < 0.5
+
+
+def test_a_pixel_goes_to_the_surface_that_fills_most_of_it_whatever_the_spreads_of_their_contrasts() -> None:
+    images, rng = sharp(2.5), np.random.default_rng(2)
+    first = EDGE * STEP - STEP // 2
+    images.images[:, :, first] = images.images[:, :, first - 1]
+    images.images[0, :, : first + 1] *= np.exp(0.1 * rng.normal(size=(SHAPE[0], 1))).repeat(STEP, 0)
+    after = moved_outlines(regions(scalloped()), images, STEP, LIT)
+    assert (after.grown[:, EDGE] == 2).mean() > 0.9
