@@ -39,8 +39,11 @@ class Finished:
 
 
 def command(*arguments: str) -> dict[str, Any]:
-    """Arguments of :class:`subprocess.Popen` for ``metafab`` of this repository."""
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    """Arguments of :class:`subprocess.Popen` for ``metafab`` of this repository.
+
+    Its modules are compiled once, as an installation's are, also where the environment keeps Python from storing them.
+    """
+    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY), "PYTHONDONTWRITEBYTECODE": ""}
     return {"args": [sys.executable, "-m", "metafab.cli", *arguments], "env": environment, "text": True}
 
 

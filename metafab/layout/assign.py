@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -239,22 +239,39 @@ def _by_table(mapping: TileMapping, executor: Executor | None) -> TileMapping:
     return replace(mapping, table=table, choice=None, sample=sum(others, first))
 
 
-def _keeps_retardance(target_rad: FloatArray, table: SizeTable, rule: Literal["auto", "kept", "free"]) -> bool:
+def _keeps_retardance(
+    targets_rad: Iterable[FloatArray], table: SizeTable, rule: Literal["auto", "kept", "free"]
+) -> bool:
     """Whether one constant phase serves both polarisations, so that their relative phase is that of the targets.
 
-    ``target_rad``, shape (2, n), holds target phases of a sample of sites. With the rule "auto", a constant difference
-    of x and y polarisation other than 0 is kept: without it, such a target has no meaning. InputError if the sizes
-    respond equally to both.
+    ``targets_rad``, each of shape (2, n), are target phases of a sample of sites. With the rule "auto", a constant
+    difference of x and y polarisation other than 0 is kept: without it, such a target has no meaning. InputError if the
+    sizes respond equally to both.
     """
-    relative = np.exp(1j * (target_rad[1] - target_rad[0]))
-    is_plate = bool(np.all(np.abs(relative - relative[:1]) < _SAME_RAD) and np.any(np.abs(relative - 1.0) > _SAME_RAD))
-    keeps = rule == "kept" or (rule == "auto" and is_plate)
-    if keeps and is_plate and np.abs(table.t[:, 1] - table.t[:, 0]).max() <= _SAME_T:
+    if rule == "free":
+        return False
+    plate = wave_plate(targets_rad)
+    if plate is not None and np.abs(table.t[:, 1] - table.t[:, 0]).max() <= _SAME_T:
         expected = "one phase for x and y polarisation, to which all sizes that may be used respond equally"
-        got = f"a retardance of {np.angle(relative[0]):.3g} rad"
+        got = f"a retardance of {np.angle(plate):.3g} rad"
         remedy = 'use rectangles or ellipses, not squares or circles, or give it up by `rules.retardance = "free"`'
         raise InputError.single("layout", "phase", expected, got, remedy)
-    return keeps
+    return rule == "kept" or plate is not None
+
+
+def wave_plate(targets_rad: Iterable[FloatArray]) -> complex | None:
+    """exp(i phase) of the wave plate that targets are, by their phase of y over x; None where that varies or is 0.
+
+    ``targets_rad``, each of shape (2, n), are evaluated only until the phase varies.
+    """
+    first, turns = None, False
+    for target_rad in targets_rad:
+        relative = np.exp(1j * (target_rad[1] - target_rad[0]))
+        first = complex(relative[0]) if first is None else first
+        if np.any(np.abs(relative - first) >= _SAME_RAD):
+            return None
+        turns = turns or bool(np.any(np.abs(relative - 1.0) > _SAME_RAD))
+    return first if turns else None
 
 
 def _light_choice(
@@ -263,23 +280,20 @@ def _light_choice(
     """Choice among the sizes of ``table`` for several lights, with constant phases that suit a sample of the sites."""
     sizes = SizesOfLights.of(table, [light.library for light in lights], [light.weight for light in lights])
     profiles = tuple(light.profile for light in lights)
-    targets = np.concatenate([_sampled_targets(profile, aperture) for profile in profiles]).reshape(len(lights), 2, -1)
-    keeps = [_keeps_retardance(target, own, retardance) for target, own in zip(targets, sizes.tables, strict=True)]
+    targets = np.array([np.concatenate([*_sampled_targets(each, aperture)], axis=1) for each in profiles])
+    keeps = [_keeps_retardance([target], own, retardance) for target, own in zip(targets, sizes.tables, strict=True)]
     return LightChoice(profiles, sizes, sizes.constant_phases(targets, keeps))
 
 
-def _sampled_targets(profile: PhaseProfile, aperture: Aperture) -> FloatArray:
-    """Target phases at up to :data:`_SAMPLED_LINES` evenly spread sites of the aperture, shape (2, n)."""
+def _sampled_targets(profile: PhaseProfile, aperture: Aperture) -> Iterator[FloatArray]:
+    """Yield target phases at up to :data:`_SAMPLED_LINES` evenly spread sites of the aperture, line by line: (2, n)."""
     lattice = aperture.lattice
     rows, columns = _sampled_lines(lattice.shape[0]), _sampled_lines(lattice.shape[1])
     inside = np.flatnonzero(aperture.at(rows, columns))
     row, column = np.divmod(inside[_sampled_lines(inside.size)], columns.size)
     x_um, y_um = lattice.x_um()[columns], lattice.y_um()[rows]
-    found = np.empty((2, row.size))
     for line in np.unique(row):
-        chosen = row == line
-        found[:, chosen] = profile(x_um[column[chosen]], y_um[line : line + 1])[:, 0]
-    return found
+        yield profile(x_um[column[row == line]], y_um[line : line + 1])[:, 0]
 
 
 def constant_phases(

@@ -18,6 +18,7 @@ from metafab.core.conventions import FloatArray, Polarisation, wrap_phase
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import SerialExecutor
 from metafab.layout import Aperture, Assignment, PillarMap
+from metafab.layout.assign import wave_plate
 from metafab.layout.gap_rule import allowed_sizes
 from metafab.library import Library
 from metafab.library.neighbours import LineStatistics, Neighbours, TrainedLine
@@ -113,6 +114,13 @@ def test_a_wave_plate_keeps_its_retardance(
     assert abs(wrap_phase(reached - retardance_rad - error)) < 0.1
     if kept:
         assert abs(error) < 0.1
+
+
+def test_phases_that_vary_are_no_wave_plate_from_their_first_line() -> None:
+    """The lines of the sample after it are not evaluated."""
+    lines = iter([np.array([[0.0, 0.0], [0.0, 1.0]]), np.zeros((2, 2))])
+    assert wave_plate(lines) is None
+    assert len(list(lines)) == 1
 
 
 def test_squares_are_no_wave_plate(smooth_library: Library, tiny_design: Design) -> None:
