@@ -20,6 +20,7 @@ from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_d
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages, TileSpectra
 from metafab.decode.images.light_outlines import outlines_at_edges
+from metafab.decode.images.shortest_outlines import shortest_outlines
 from metafab.decode.images.unmixing import Unmixing
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
@@ -240,6 +241,7 @@ class Decoder:
         regions = moved_outlines(regions, sharp, step, lit)
         if self.numerics.refined and self.numerics.modelled:
             regions = outlines_at_edges(regions, prepared, sharp, self.layer_optics, step)
+            regions = shortest_outlines(regions, sharp, step)
         maps = PixelMaps.of(prepared, pixels, regions, sharp, lit)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 
