@@ -126,8 +126,9 @@ def _cut(
     n_y, n_x = share.shape
     step, zero, one = np.float32(_STEP), np.float32(0.0), np.float32(1.0)
     rising = free.copy()
-    rising[:-1] |= free[1:]
-    rising[:, :-1] |= free[:, 1:]
+    for i in range(n_y):
+        for j in range(n_x):
+            rising[i, j] |= free[min(i + 1, n_y - 1), j] or free[i, min(j + 1, n_x - 1)]
     (free_y, free_x), (rise_y, rise_x) = np.nonzero(free), np.nonzero(rising)
     dual_x, dual_y = np.zeros_like(share), np.zeros_like(share)
     ahead = share.copy()

@@ -191,7 +191,9 @@ def _outer_index(
     for i in range(first, stop):
         line, to = values[rows[i]], out[i]
         if i > first and rows[i] == rows[i - 1]:
-            to[:] = out[i - 1]
+            before = out[i - 1]
+            for j in range(columns.size):
+                to[j] = before[j]
             continue
         for j in range(columns.size):
             to[j] = line[columns[j]]

@@ -236,7 +236,7 @@ def _robust_plane(
         for k in range(count):
             fitted = solution[0] * design[k, 0] + solution[1] * design[k, 1] + solution[2] * design[k, 2]
             residual[k] = abs(vergence[k] - fitted) * root[k]
-        scale = max(1.0, 1.48 * np.median(residual))
+        scale = max(1.0, 1.48 * _median(residual))
         normal, right = np.zeros((3, 3)), np.zeros(3)
         for k in range(count):
             kept = max(1.0 - (residual[k] / (_TUKEY * scale)) ** 2, 0.0)
@@ -265,13 +265,18 @@ def _least_median_of_squares(
     triples: NDArray[np.int64], design: FloatArray, vergence: FloatArray, root: FloatArray
 ) -> FloatArray:
     """Of planes through triples of cells, the one of least median residual: a third of the cells may be outliers."""
-    best, least = np.array([np.median(vergence), 0.0, 0.0]), np.inf
+    best, least = np.array([_median(vergence), 0.0, 0.0]), np.inf
     middle, corners, at, residual = vergence.size // 2, np.empty((3, 3)), np.empty(3), np.empty(vergence.size)
-    narrow = 0.1 * (design[:, 1].max() - design[:, 1].min()) * (design[:, 2].max() - design[:, 2].min())
+    lowest, highest = design[0].copy(), design[0].copy()
+    for k in range(1, vergence.size):
+        for i in range(3):
+            lowest[i], highest[i] = min(lowest[i], design[k, i]), max(highest[i], design[k, i])
+    narrow = 0.1 * (highest[1] - lowest[1]) * (highest[2] - lowest[2])
     for triple in range(triples.shape[0]):
         for i in range(3):
-            corners[i] = design[triples[triple, i]]
             at[i] = vergence[triples[triple, i]]
+            for j in range(3):
+                corners[i, j] = design[triples[triple, i], j]
         # A cell that is picked twice gives no area.
         if not abs(_determinant(corners)) > narrow:
             continue
@@ -282,7 +287,7 @@ def _least_median_of_squares(
             smaller += residual[k] < least
         # The median is sought only where it is less.
         if smaller > middle:
-            best, least = plane, np.partition(residual, middle)[middle]
+            best, least = plane, _kth_smallest(residual, middle)
     return best
 
 
@@ -299,12 +304,42 @@ def _determinant(a: FloatArray) -> float:
 @compiled
 def _solved(a: FloatArray, b: FloatArray) -> FloatArray:
     """Solution of a linear system, shapes (3, 3) and (3,), by Cramer's rule: shape (3,)."""
-    determinant, out, replaced = _determinant(a), np.empty(3), np.empty((3, 3))
+    determinant, out, replaced = _determinant(a), np.empty(3), a.copy()
     for column in range(3):
-        replaced[:] = a
-        replaced[:, column] = b
+        for row in range(3):
+            replaced[row, column] = b[row]
         out[column] = _determinant(replaced) / determinant
+        for row in range(3):
+            replaced[row, column] = a[row, column]
     return out
+
+
+@compiled
+def _median(values: FloatArray) -> float:
+    """Median of values, shape (n,), as ``numpy.median``, which takes a second to compile."""
+    return 0.5 * (_kth_smallest(values, (values.size - 1) // 2) + _kth_smallest(values, values.size // 2))
+
+
+@compiled
+def _kth_smallest(values: FloatArray, k: int) -> float:
+    """``numpy.partition(values, k)[k]`` of finite values, shape (n,), by Hoare's quickselect.
+
+    That of numba takes five seconds to compile.
+    """
+    parted, first, last = values.copy(), 0, values.size - 1
+    while first < last:
+        pivot, i, j = parted[(first + last) // 2], first, last
+        while i <= j:
+            while parted[i] < pivot:
+                i += 1
+            while parted[j] > pivot:
+                j -= 1
+            if i <= j:
+                parted[i], parted[j] = parted[j], parted[i]
+                i += 1
+                j -= 1
+        first, last = (first if k <= j else i if k >= i else k), (j if k <= j else last if k >= i else k)
+    return float(parted[k])
 
 
 def ransac_planes(
