@@ -11,8 +11,10 @@ from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
+from dataclasses import dataclass
+from functools import partial
 from itertools import islice, pairwise
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from metafab.core.errors import InputError
 from metafab.core.parallel.cluster import ClusterExecutor, open_cluster
@@ -22,7 +24,7 @@ from metafab.core.parallel.progress import Progress, silent
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_kept_threads: ContextVar[ThreadPoolExecutor | None] = ContextVar("_kept_threads", default=None)
+_kept_threads: ContextVar[KeptThreads | None] = ContextVar("_kept_threads", default=None)
 
 #: Pieces of work that are submitted and not yet yielded, unless a caller says otherwise.
 AHEAD = 8
@@ -98,20 +100,62 @@ def open_threads(
     return ThreadPoolExecutor(workers or default_workers())
 
 
-@contextmanager
-def kept_threads() -> Iterator[ThreadPoolExecutor]:
-    """Open a thread pool for many short jobs; a nested block reuses the pool of the outer one.
+class SharedJob(Generic[Result]):
+    """A call that was handed to a kept thread."""
 
-    Starting and ending threads takes a millisecond. A job must not wait for another job of the same pool.
+    def __init__(self, threads: ThreadPoolExecutor, function: Callable[..., Result], *arguments: Any) -> None:
+        self._call = partial(function, *arguments)
+        self._future = threads.submit(self._call)
+
+    def result(self) -> Result:
+        """Return the call's result; a call that no thread has begun is made by the thread that asks."""
+        return self._call() if self._future.cancel() else self._future.result()
+
+
+@dataclass(frozen=True)
+class KeptThreads:
+    """Threads for many short calls, which the thread that waits for a result makes as well."""
+
+    threads: ThreadPoolExecutor  #: One less than the cores, at least one.
+
+    def submit(self, function: Callable[..., Result], *arguments: Any) -> SharedJob[Result]:
+        """Hand a call to a thread; it must not wait for other calls of the same threads."""
+        return SharedJob(self.threads, function, *arguments)
+
+    def map(self, function: Callable[..., Result], *items: Iterable[Any]) -> list[Result]:
+        """Call ``function`` for each item on all cores and return the results in the order of the items.
+
+        A single item is computed by this thread alone, whose :func:`spread` then finds the other threads free.
+        """
+        calls = list(enumerate(zip(*items, strict=True)))
+        left, results = iter(calls), dict[int, Result]()
+
+        def work() -> None:
+            for number, arguments in left:
+                results[number] = function(*arguments)
+
+        jobs = [self.submit(work) for _ in range(min(default_workers(), len(calls)) - 1)]
+        work()
+        for job in jobs:
+            job.result()
+        return [results[number] for number, _ in calls]
+
+
+@contextmanager
+def kept_threads() -> Iterator[KeptThreads]:
+    """Open threads for many short jobs; a nested block reuses those of the outer one.
+
+    Starting and ending threads takes a millisecond.
     """
     kept = _kept_threads.get()
     if kept is not None:
         yield kept
         return
-    with ThreadPoolExecutor(max(2, default_workers())) as threads:
-        token = _kept_threads.set(threads)
+    with ThreadPoolExecutor(max(1, default_workers() - 1)) as threads:
+        kept = KeptThreads(threads)
+        token = _kept_threads.set(kept)
         try:
-            yield threads
+            yield kept
         finally:
             _kept_threads.reset(token)
 

@@ -163,8 +163,7 @@ class Deconvolver:
 
         # One tile and depth at a time: the data of a thread stay in its cache.
         with kept_threads() as pool:
-            for _ in pool.map(deconvolve, pairs, transfers):
-                pass
+            pool.map(deconvolve, pairs, transfers)
         if self.unmixing is not None:
             self.unmixing.separate(sharp.images, sharp.noise_gain)
         return sharp

@@ -84,7 +84,7 @@ def unbiased_places(
         return _moved(correlation)
 
     with kept_threads() as pool:
-        return np.stack(list(pool.map(of_field, range(filters.shape[2]))))
+        return np.stack(pool.map(of_field, range(filters.shape[2])))
 
 
 def _moved(correlation: FloatArray) -> FloatArray:

@@ -66,7 +66,7 @@ class FrameModel:
             shares = [group.first for group in groups]
             white: list[NDArray[np.complex64] | None] = [None] * len(groups)
             for _ in range(_ROUNDS):
-                found = list(pool.map(lambda group, *last: group.model.expected(*last), groups, shares, white))
+                found = pool.map(lambda group, *last: group.model.expected(*last), groups, shares, white)
                 typical = _typical_energy(groups, [one.energy for one in found], len(self.regions.depths))
                 shares = [
                     group.model.share(one, typical[group.layer]) for group, one in zip(groups, found, strict=True)
@@ -151,15 +151,16 @@ class FrameModel:
             return None
         tiling, both = self.optics.tiling, (layers.label, np.pad(label, self.prepared.downsampling.margin))
 
-        def of(group: TileGroup) -> list[NDArray[np.float32]]:
-            hard = (group.hard(one, tiling).astype(np.float32) for one in both)
-            return [group.model.misfit(gaussian_filter(one, (0.0, _HARD_OUTLINE, _HARD_OUTLINE))) for one in hard]
+        def misfit(group: TileGroup, one: NDArray[np.int32]) -> NDArray[np.float32]:
+            hard = group.hard(one, tiling).astype(np.float32)
+            return group.model.misfit(gaussian_filter(hard, (0.0, _HARD_OUTLINE, _HARD_OUTLINE)))
 
         misfits = np.zeros((2, *near.shape), dtype=np.float32)
+        jobs = [(group, one) for group in groups for one in (0, 1)]
         with kept_threads() as pool:
-            for group, found in zip(groups, pool.map(of, groups), strict=True):
-                for misfit, to in zip(found, misfits, strict=True):
-                    layers.write_cores(group, misfit, to)
+            found = pool.map(lambda group, one: misfit(group, both[one]), *zip(*jobs, strict=True))
+        for (group, one), of_group in zip(jobs, found, strict=True):
+            layers.write_cores(group, of_group, misfits[one])
         return misfits
 
 

@@ -38,7 +38,7 @@ _NEARER = 2e-3
 #: Bytes that a pixel of a tile takes for each layer: transforms of the pair and of the light, shares, masks.
 _BYTES_A_PIXEL = 40
 #: Pairs of a tile and a layer that are computed at once: their data stay in a core's cache.
-_PAIRS_AT_ONCE = 8
+_PAIRS_AT_ONCE = 4
 #: Most memory of the tiles, bytes.
 _MOST_BYTES = 1 << 30
 
@@ -109,7 +109,7 @@ class FrameLayers:
             return []
         parts = pairwise([0, *(np.flatnonzero(np.diff(ends // _PAIRS_AT_ONCE)) + 1).tolist(), len(tiles)])
         with kept_threads() as pool:
-            return list(pool.map(lambda part: self._group(tiles[slice(*part)]), parts))
+            return pool.map(lambda part: self._group(tiles[slice(*part)]), parts)
 
     def write_cores(self, group: TileGroup, pictures: NDArray[Value], to: NDArray[Value]) -> None:
         """Write the cores of the tiles' pictures, shape (n_tiles, n_y, n_x), to their places in the window."""
@@ -223,8 +223,7 @@ def _distances(label: NDArray[np.int32], count: int, reach: float) -> NDArray[np
         distances[index][part] = distance(label[part] == index + 1)
 
     with kept_threads() as pool:
-        for _ in pool.map(write, range(count)):
-            pass
+        pool.map(write, range(count))
     return distances
 
 

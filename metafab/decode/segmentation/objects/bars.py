@@ -121,7 +121,7 @@ def with_bars(
         return None if depth is None or mask is None else (replace(depth, pixels=float(mask.sum())), mask)
 
     with kept_threads() as pool:
-        bars = list(pool.map(measured, found))
+        bars = pool.map(measured, found)
     mine = np.zeros(len(regions.depths) + 1, dtype=np.int64)
     sizes = np.bincount(regions.grown.ravel(), minlength=mine.size)
     for bar, band in zip(bars, bands, strict=True):

@@ -131,7 +131,7 @@ def small_objects(
         begun = pool.map(searched, sorted(blobs, key=lambda one: -one[0])[:_MOST_BLOBS])
         searches = [one for one in begun if one is not None]
         fitted = fitted_objects(prepared, optics, [one.start for one in searches])
-        found = list(pool.map(_Search.found, searches, fitted))
+        found = pool.map(_Search.found, searches, fitted)
     return [one for one in found if one is not None]
 
 
