@@ -23,7 +23,7 @@ from metafab.cell.curved.functions import Functions, functions_of
 from metafab.cell.curved.mesh import quarter_mesh
 from metafab.cell.elements.assembly import Grams
 from metafab.cell.pillar import PillarCell
-from metafab.cell.rcwa.jones import ZeroOrder, one_thread
+from metafab.cell.rcwa.jones import ZeroOrder
 from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
 from metafab.cell.rcwa.scattering.doubling import slab
 from metafab.cell.rcwa.scattering.half_space import distinct_root
@@ -31,6 +31,7 @@ from metafab.cell.rcwa.scattering.modes import NO_MODES
 from metafab.cell.rcwa.symmetry import permittivity, polarisations_swap
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import SolverError
+from metafab.core.parallel.executor import one_blas_thread
 
 #: Largest eigenvalue of a constant potential over the largest of all.
 _STATIC = 1e-12
@@ -48,7 +49,7 @@ def zero_order(cell: PillarCell, order: int) -> ZeroOrder:
     """
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     powers, count = np.zeros((2, 2)), 0
-    with one_thread():
+    with one_blas_thread():
         for axis, light in enumerate(POLARISATIONS):
             if axis and polarisations_swap(cell):
                 t[1, 1], r[1, 1], powers[:, 1] = t[0, 0], r[0, 0], powers[:, 0]
@@ -136,7 +137,7 @@ def order_efficiencies(cell: PillarCell, order: int, sides: Sequence[Sequence[tu
     """
     length_nm = cell.period_nm[0], cell.period_nm[1] * (2 if cell.is_staggered else 1)
     powers: list[list[float]] = []
-    with one_thread():
+    with one_blas_thread():
         for axis, light in enumerate(POLARISATIONS):
             solved = _solved(cell, light, order)
             fields = solved.transmitted, solved.reflected

@@ -20,12 +20,12 @@ from metafab.cell.elements.mesh import mesh_of
 from metafab.cell.elements.solve import FaceSystem, exchanged_places, face_system, other_light
 from metafab.cell.pillar import PillarCell
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
-from metafab.cell.rcwa.jones import one_thread
 from metafab.cell.rcwa.scattering.reverse import pull_back_doubled
 from metafab.cell.rcwa.symmetry import permittivity
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
 from metafab.core.errors import InputError
+from metafab.core.parallel.executor import one_blas_thread
 
 #: Change of a size in the central differences of an element's sums, nm.
 _STEP_NM = 0.02
@@ -61,7 +61,7 @@ def order_gradients(
         turned = order_gradients(supercell.exchanged(), other_light(light), resolution, of_turned)
         gradient = turned.gradient.transpose(0, 2, 1, 3)[..., ::-1]
         return OrderGradients(order, turned.t[places, ::-1], gradient)
-    with one_thread():
+    with one_blas_thread():
         basis = basis_of(supercell, light, resolution)
         solved = _Solved.of(supercell, light, basis, order)
         gradient = _gradients([_Adjoint(solved, each) for each in weights], supercell, basis)

@@ -21,7 +21,6 @@ from metafab.cell.elements.assembly import Grams, Layer, Waves, gradient_of, inc
 from metafab.cell.elements.basis import basis_of, elements_of
 from metafab.cell.problem import solve
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
-from metafab.cell.rcwa.jones import one_thread
 from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
 from metafab.cell.rcwa.scattering.doubling import Doubling, doubled
 from metafab.cell.rcwa.symmetry import permittivity
@@ -29,6 +28,7 @@ from metafab.cell.response import CellNumerics
 from metafab.cell.supercell import Supercell, SupercellOrders, SupercellResponse
 from metafab.core.conventions import POLARISATIONS, ComplexArray, Polarisation
 from metafab.core.errors import InputError, SolverError
+from metafab.core.parallel.executor import one_blas_thread
 
 #: Bound on the error of a light's amplitudes: a share of their last change, and at least this floor over the
 #: square of the resolution (two resolutions may agree by accident). Measured on rows and single cells.
@@ -100,7 +100,7 @@ def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: 
         turned = orders_at(supercell.exchanged(), [other_light(light) for light in lights], resolution)
         return np.asarray(turned[exchanged_places(supercell, lights[0]), ::-1])
     order = supercell.propagating_orders(lights[0])
-    with one_thread():
+    with one_blas_thread():
         together = [tuple(lights)] if supercell.shape[0] > 1 else [(light,) for light in lights]
         found = []
         for some in together:
@@ -118,7 +118,7 @@ def scattered_by_row(supercell: Supercell, light: Polarisation, resolution: floa
     :func:`supercell_orders`.
     """
     order, axis = supercell.propagating_orders(light), POLARISATIONS.index(light)
-    with one_thread():
+    with one_blas_thread():
         layer = _layer(supercell, (light,), resolution, order)
         system = face_system(layer, supercell, (light,))
         fields = system.solve(2.0 * system.source, np.zeros_like(system.source))[..., 0]

@@ -31,7 +31,7 @@ from scipy.linalg import lapack
 from metafab.cell.pillar import PillarCell
 from metafab.cell.rcwa.basis.coordinates import Formulation, Matrix
 from metafab.cell.rcwa.basis.tangent import like, outline_tangent
-from metafab.cell.rcwa.jones import SolvedClass, ZeroOrder, one_thread, solved_classes
+from metafab.cell.rcwa.jones import SolvedClass, ZeroOrder, solved_classes
 from metafab.cell.rcwa.layers.tangents import LayerChange, RectangleLayer, WaveTangents, uniform_product
 from metafab.cell.rcwa.scattering.doubling import Doubling
 from metafab.cell.rcwa.scattering.half_space import PlaneWaves
@@ -40,6 +40,7 @@ from metafab.cell.rcwa.scattering.reverse import pull_back_doubled
 from metafab.cell.rcwa.symmetry import permittivity, polarisations_swap
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import Fault, InputError
+from metafab.core.parallel.executor import one_blas_thread
 
 #: Replaces a propagation constant of zero: at a Rayleigh anomaly the derivative is infinite.
 _SMALLEST = 1e-9
@@ -75,7 +76,7 @@ def derivatives(cell: PillarCell, orders: int, formulation: Formulation = "adapt
         raise InputError("cell", faults)
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     total = np.zeros((4, 2, 2, 2), dtype=np.complex128)
-    with one_thread():
+    with one_blas_thread():
         for solved in solved_classes(cell, orders, formulation, keep=True):
             t += solved.case.incident.T @ solved.faces.transmitted
             r += solved.case.incident.T @ solved.faces.reflected
@@ -91,7 +92,7 @@ def size_slopes(cell: PillarCell, solved: ZeroOrder, orders: int, formulation: F
     """
     if _untreated(cell):
         return None
-    with one_thread():
+    with one_blas_thread():
         by_size = sum(_ClassTangents(each).by_sizes(orders, formulation) for each in solved.kept)
     by_size = np.asarray(by_size)
     if polarisations_swap(cell):

@@ -20,11 +20,12 @@ from metafab.cell.rcwa.basis.axis import AxisParity
 from metafab.cell.rcwa.basis.coordinates import Formulation, IntArray
 from metafab.cell.rcwa.certificate import implied_bound, ladder
 from metafab.cell.rcwa.convergence import convergence
-from metafab.cell.rcwa.jones import one_thread, solved_classes
+from metafab.cell.rcwa.jones import solved_classes
 from metafab.cell.rcwa.slicing import slicing, smooth_array
 from metafab.cell.rcwa.symmetry import in_plane_per_nm
 from metafab.cell.response import CellNumerics
 from metafab.core.conventions import FloatArray
+from metafab.core.parallel.executor import one_blas_thread
 
 Order = tuple[int, int]
 #: Order -> shape (2,), efficiency for incident x and y.
@@ -114,7 +115,7 @@ def efficiencies(
         Two dictionaries from orders to arrays of shape (2,), for incident x and y.
     """
     sides: tuple[Efficiencies, Efficiencies] = (defaultdict(lambda: np.zeros(2)), defaultdict(lambda: np.zeros(2)))
-    with one_thread():
+    with one_blas_thread():
         for solved in solved_classes(cell, orders, formulation, steps):
             u, v = solved.case.basis.u, solved.case.basis.v
             both = [(m, n) for m in _orders(u, u.label_a) for n in _orders(v, v.label_a)]

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from functools import cache
-from typing import Any, Protocol, cast
+from typing import Protocol
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from metafab.cell.pillar import PillarCell, Slice
 from metafab.cell.rcwa.basis.coordinates import Formulation
@@ -20,6 +17,7 @@ from metafab.cell.rcwa.scattering.half_space import PlaneWaves, Waves, magnetic
 from metafab.cell.rcwa.scattering.modes import NO_MODES, Conditioning, FaceFields, layer_modes, match_modes
 from metafab.cell.rcwa.symmetry import SymmetryClass, permittivity, polarisations_swap, symmetry_classes
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.parallel.executor import one_blas_thread
 
 
 @dataclass(frozen=True)
@@ -93,7 +91,7 @@ def zero_order(
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     power, kept = np.zeros((2, 2)), []
     largest, inconsistency, worst = 0, 0.0, NO_MODES
-    with one_thread():
+    with one_blas_thread():
         for solved in solved_classes(cell, orders, formulation, steps, by_modes=by_modes, keep=keep):
             kept += [solved] if keep else []
             incident, faces = solved.case.incident, solved.faces
@@ -161,13 +159,3 @@ class Amplitudes(Protocol):
 def distance(one: Amplitudes, other: Amplitudes) -> float:
     """Largest absolute difference of any amplitude."""
     return float(max(np.abs(one.t - other.t).max(), np.abs(one.r - other.r).max()))
-
-
-def one_thread() -> AbstractContextManager[Any]:
-    """Limit BLAS to one thread in the context."""
-    return cast("AbstractContextManager[Any]", _blas().limit(limits=1))
-
-
-@cache
-def _blas() -> ThreadpoolController:
-    return ThreadpoolController()

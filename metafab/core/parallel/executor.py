@@ -12,14 +12,17 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExec
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from itertools import islice, pairwise
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from metafab.core.errors import InputError
 from metafab.core.parallel.cluster import ClusterExecutor, open_cluster
 from metafab.core.parallel.processes import WorkerProcesses
 from metafab.core.parallel.progress import Progress, silent
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -100,6 +103,19 @@ def open_threads(
     return ThreadPoolExecutor(workers or default_workers())
 
 
+def one_blas_thread() -> AbstractContextManager[object]:
+    """Limit the BLAS libraries of this process to one thread each; they are looked up at the first call alone."""
+    limited: AbstractContextManager[object] = _blas().limit(limits=1, user_api="blas")
+    return limited
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
 class SharedJob(Generic[Result]):
     """A call that was handed to a kept thread."""
 
@@ -145,13 +161,14 @@ class KeptThreads:
 def kept_threads() -> Iterator[KeptThreads]:
     """Open threads for many short jobs; a nested block reuses those of the outer one.
 
-    Starting and ending threads takes a millisecond.
+    Starting and ending threads takes a millisecond. Meanwhile BLAS has one thread: its own would wait in busy loops on
+    the cores of these.
     """
     kept = _kept_threads.get()
     if kept is not None:
         yield kept
         return
-    with ThreadPoolExecutor(max(1, default_workers() - 1)) as threads:
+    with one_blas_thread(), ThreadPoolExecutor(max(1, default_workers() - 1)) as threads:
         kept = KeptThreads(threads)
         token = _kept_threads.set(kept)
         try:

@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from concurrent.futures import Executor
 
+import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
+from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.core.parallel.executor import kept_threads, open_executor, stream
+from metafab.core.parallel.executor import (
+    KeptThreads,
+    default_workers,
+    kept_threads,
+    open_executor,
+    spread,
+    stream,
+)
 
 
 def _square(value: int) -> int:
@@ -56,13 +65,46 @@ def test_kept_threads_are_those_of_the_outermost_block() -> None:
         with kept_threads() as inner:
             assert inner is outer
         assert list(outer.map(abs, [-1, 2])) == [1, 2]  # the inner block did not end them
-        # A job of these threads that asks for threads gets its own: it would wait for itself.
-        assert outer.submit(lambda: _asked() is not outer).result()
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("ThreadPoolExecutor")]
     with kept_threads() as later:
         assert later is not outer
 
 
-def _asked() -> Executor:
+def test_kept_threads_do_not_wait_while_a_job_has_not_begun() -> None:
+    """All threads are busy until the last result is there: the thread that asks makes the calls itself."""
+    free = threading.Event()
+    with kept_threads() as threads:
+        busy = [threads.submit(free.wait) for _ in range(default_workers())]
+        try:
+            begun = threads.submit(threading.get_ident)
+            assert begun.result() == threading.get_ident()
+            assert threads.map(max, range(9), reversed(range(9))) == [8, 7, 6, 5, 4, 5, 6, 7, 8]
+            rows = np.zeros(9)
+            spread(_fill, rows.size, rows)
+            assert rows.all()
+            with pytest.raises(InputError, match="an even number"):
+                threads.map(_refuse, range(3))
+        finally:
+            free.set()
+        assert all(job.result() for job in busy[:-1])
+
+
+def test_all_cores_share_the_items_of_kept_threads() -> None:
+    """A single item is computed by this thread, whose own jobs may then use the others."""
+    meet = threading.Barrier(2, timeout=60.0)
+    with kept_threads() as threads:
+        assert threads.map(lambda _: threading.get_ident(), range(1)) == [threading.get_ident()]
+        # A job of these threads that asks for threads gets its own: it would wait for itself.
+        job = threads.submit(lambda: (meet.wait(), _asked())[1])
+        meet.wait()
+        assert job.result() is not threads
+        assert all(library["num_threads"] == 1 for library in threadpool_info() if library["user_api"] == "blas")
+
+
+def _fill(first: int, stop: int, rows: FloatArray) -> None:
+    rows[first:stop] = 1.0
+
+
+def _asked() -> KeptThreads:
     with kept_threads() as threads:
         return threads
