@@ -37,6 +37,8 @@ from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, RunSummary, SkippedSt
 from metafab.steps.tolerance import recorded_tolerance
 
 STEPS_FILE = "steps.json"
+#: Size of a step's files, in bytes, from which a copy of this process hashes them: a fork takes as long as 30 MB do.
+_HASHED_BESIDE = 1 << 26
 _LIBRARIES = ("numpy", "scipy", "gdstk", "h5py", "shapely", "matplotlib", "pydantic", "numba", "klayout")
 
 
@@ -181,12 +183,14 @@ class _State:
     skipped: list[SkippedStep] = field(default_factory=list)
     #: Steps that copies of this process run, in their order.
     copies: dict[str, tuple[Step, Beside[tuple[Any, Cost]]]] = field(default_factory=dict)
+    #: Steps whose large files copies of this process hash: fingerprint, states of the files, and figures.
+    hashed: dict[str, tuple[str, Beside[dict[str, FileMark]], Any]] = field(default_factory=dict)
 
     def bring_up_to_date(self, step: Step) -> None:
         """Run a step unless it is up to date or not needed, or begin one that may run beside others.
 
-        The steps that it comes after are collected. Its record is saved before the next step begins, or when it is
-        collected.
+        The steps that it comes after are collected. Its record is saved before the next step begins, when it is
+        collected, or, with large files, when their hashes are there.
         """
         if why := step.not_needed(self.job.design):
             self.forget(step)
@@ -199,7 +203,8 @@ class _State:
             return
         else:
             self.keep(step, partial(_cost_of, step, self.job))
-        self.used[step.name] = self.records[step.name]
+            return
+        self.use(step.name, self.records[step.name])
 
     @property
     def workers(self) -> int | None:
@@ -211,11 +216,29 @@ class _State:
         with noted(f"step `{step.name}`"):
             figures, cost = work()
         paths = {relative_to(self.job.folder, path): path for path in step.outputs(self.job)}
-        marks = {name: FileMark.of(path) for name, path in paths.items()}
-        self.records[step.name] = Record.of(self.fingerprint(step), marks, figures)
         self.log.seconds[step.name], self.log.peak_rss_mb[step.name] = cost.seconds, cost.peak_rss_mb
         self.log.modified_ns.update({name: path.stat().st_mtime_ns for name, path in paths.items()})
-        self.save_records()
+        inputs_sha256, marks = self.fingerprint(step), partial(_marks, paths)
+        is_large = sum(path.stat().st_size for path in paths.values()) >= _HASHED_BESIDE
+        if is_large and (copy := begin_beside(marks, self.workers)):
+            self.hashed[step.name] = inputs_sha256, copy, figures
+        else:
+            self.use(step.name, Record.of(inputs_sha256, marks(), figures))
+            self.save_records()
+
+    def use(self, name: str, record: Record) -> None:
+        """Note the record of a step whose files this run uses; records stay in the order of the steps."""
+        self.records[name] = record
+        kept = self.used | {name: record}
+        self.used = {each: kept[each] for each in self.names if each in kept}
+        self.records = {each: self.records[each] for each in self.names if each in self.records}
+
+    def collect_hashes(self) -> None:
+        """Wait for the hashes of large files, and save the records of their steps."""
+        while self.hashed:
+            name, (inputs_sha256, copy, figures) = self.hashed.popitem()
+            self.use(name, Record.of(inputs_sha256, copy.result(), figures))
+            self.save_records()
 
     def collect(self, names: Collection[str]) -> None:
         """Wait for those of the named steps that copies of this process run."""
@@ -223,14 +246,12 @@ class _State:
             step, copy = self.copies[name]
             self.keep(step, copy.result)
             del self.copies[name]
-            kept = self.used | {name: self.records[name]}
-            self.used = {each: kept[each] for each in self.names if each in kept}
-            self.records = {each: self.records[each] for each in self.names if each in self.records}
 
     def end_copies(self) -> None:
-        """End the copies that are still at work, and remove what they and killed ones had half written."""
+        """End the copies that still run steps, and remove what they and killed ones had half written."""
         for _, copy in self.copies.values():
             copy.kill()
+        self.collect_hashes()
         clear_parts(self.job.folder)
 
     def forget(self, step: Step) -> None:
@@ -262,6 +283,7 @@ class _State:
 
     def fingerprint(self, step: Step) -> str:
         """Hash of all that a step depends on; the files of earlier steps count by content."""
+        self.collect_hashes()
         inputs = step.inputs(self.job.design)
         earlier = [self.used[name] for name in step.after if name in self.used]
         before = [[mark.sha256 for mark in record.outputs.values()] for record in earlier]
@@ -271,6 +293,7 @@ class _State:
 
     def summary(self) -> RunSummary:
         """Summary of the steps so far."""
+        self.collect_hashes()
         names, log = {item.name for item in fields(RunSummary)}, self.log
         written = {name for record in self.used.values() for name in record.outputs}
         summary = RunSummary(
@@ -286,6 +309,11 @@ class _State:
         tolerance = recorded_tolerance(self.job) or summary.tolerance
         saved = ledger(self.job.design, summary.library, summary.layout, summary.psf, summary.decode)
         return replace(summary, tolerance=tolerance, error_budget=error_budget(summary), saved=saved)
+
+
+def _marks(paths: Mapping[str, Path]) -> dict[str, FileMark]:
+    """States of files, by name."""
+    return {name: FileMark.of(path) for name, path in paths.items()}
 
 
 def _cost_of(step: Step, job: Job) -> tuple[Any, Cost]:

@@ -20,7 +20,7 @@ from metafab.core.figures import PhaseFigures
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import fingerprint, whole_file
 from metafab.core.storage.provenance import contents_sha256
-from metafab.run import REPORT, STEPS, Record, ReportFigures, run
+from metafab.run import REPORT, STEPS, FileMark, Record, ReportFigures, run
 from metafab.spec import Design, load_design
 from metafab.steps import RESULT_STEPS
 from metafab.steps.images import CaptureFigures
@@ -96,6 +96,34 @@ def test_a_step_beside_others_is_in_its_place_when_all_are_done(
     beside = run(small_design, both, steps=chain.changed("drc", work=waiting, is_beside=True), work=Work(2))
     assert chain.done == ["phase", "drc", "capture", "report", "phase", "capture", "report"]
     assert list(beside.seconds) == ["phase", "drc", "capture", "report"]
+    assert (both / "steps.json").read_bytes() == (alone / "steps.json").read_bytes()
+
+
+@pytest.mark.alone
+def test_large_files_are_hashed_while_the_next_step_runs(
+    tmp_path: Path, small_design: Design, chain: Chain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The hash of the file of `phase` waits for the file of `drc`, which fails: the record of `phase` is kept."""
+    alone, both = tmp_path / "alone", tmp_path / "both"
+    run(small_design, alone, steps=chain.steps)
+    chain.done.clear()
+    monkeypatch.setattr("metafab.run._HASHED_BESIDE", 0)
+    of, work = FileMark.of, chain.steps[1].work
+
+    def waiting(path: Path) -> FileMark:
+        while path.name == "phase.txt" and not (path.parent / "drc.txt").exists():
+            time.sleep(0.01)
+        return of(path)
+
+    def failing(job: Job) -> Any:
+        work(job)
+        raise InputError.single("drc", "rule", "none broken", "one")
+
+    monkeypatch.setattr(FileMark, "of", waiting)
+    with pytest.raises(InputError, match="none broken"):
+        run(small_design, both, steps=chain.changed("drc", work=failing), work=Work(2))
+    run(small_design, both, steps=chain.steps, work=Work(2))
+    assert chain.done == ["phase", "drc", "drc", "capture", "report"]
     assert (both / "steps.json").read_bytes() == (alone / "steps.json").read_bytes()
 
 
