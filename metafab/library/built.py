@@ -31,9 +31,9 @@ def build_file(
 
     Pillars of an earlier file that are still current are not solved again: a training uses them, or they are the whole
     library where the unit cell no longer asks for a model. A killed build or training continues where it stopped: until
-    the library is saved, files in its folder keep what was solved. The rows of a training stay there (``.rows``):
-    another fit, or more rows, continue from them. If two processes build one library, the second waits for the first
-    and loads its file. A damaged checkpoint raises InputError.
+    the library is saved, files in its folder keep what was solved. The rows and blocks of a training stay there
+    (``.rows``, ``.blocks``): another fit, or more of them, continue from them. If two processes build one library, the
+    second waits for the first and loads its file. A damaged checkpoint raises InputError.
 
     Args:
         unit_cell: unit cell with its sweep and, for a model of neighbours, the table ``[neighbours]``.

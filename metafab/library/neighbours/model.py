@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from metafab.core.conventions import Polarisation
+from metafab.core.conventions import ComplexArray, Polarisation
 from metafab.core.figures import LineStatistics
 from metafab.library.neighbours.line import LineModel
 
@@ -16,6 +17,8 @@ class TrainedLine:
 
     model: LineModel  #: The chain.
     statistics: LineStatistics  #: Errors on solved rows.
+    #: Coupling of a block's lines: free elements of K, shape (n_pairs,); None where no blocks were solved.
+    coupling: ComplexArray | None = None
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,12 @@ class Neighbours:
         """The chain of rows along x (``direction`` 0) or y (1); its sizes are (along the row, across the row)."""
         is_along = polarisation == ("x", "y")[direction]
         return (self.along if is_along else self.across)[direction]
+
+    def with_couplings(self, couplings: Sequence[ComplexArray]) -> Neighbours:
+        """The model with the couplings of its distinct chains, shape (n_pairs,) each, in the order of :attr:`lines`."""
+        lines = [replace(line, coupling=coupling) for line, coupling in zip(self.lines, couplings, strict=True)]
+        half = len(lines) // 2
+        return replace(self, along=(lines[0], lines[:half][-1]), across=(lines[half], lines[half:][-1]))
 
     @property
     def lines(self) -> tuple[TrainedLine, ...]:

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -54,9 +55,9 @@ ROW_KINDS = (
 #: 3.0, but 0.01 to 0.07 at 2.5.
 RESOLUTION = 3.0
 #: Largest phase step from pillar to pillar of a row with steady phases, rad.
-_STEEPEST_RAD = 2.0 * np.pi / 6.0
+STEEPEST_RAD = 2.0 * np.pi / 6.0
 #: Sizes of a row with steady phases are drawn from this many best ones.
-_BEST = 3
+BEST = 3
 #: Rows that a worker solves in one call, and calls in flight.
 _CHUNK, _AHEAD = 2, 16
 
@@ -82,11 +83,11 @@ class RowSampler:
         rng = np.random.default_rng([self.stream, number])
         if not is_steady(number):
             return self.size_nm[rng.integers(0, len(self.size_nm), sites)]
-        start, slope = rng.uniform(0.0, 2.0 * np.pi, 2), rng.uniform(-_STEEPEST_RAD, _STEEPEST_RAD, 2)
+        start, slope = rng.uniform(0.0, 2.0 * np.pi, 2), rng.uniform(-STEEPEST_RAD, STEEPEST_RAD, 2)
         target = np.exp(-1j * (start + np.arange(sites)[:, None] * slope))
         overlap = np.einsum("sp,np->sn", target, self.t, optimize=True).real
-        best = np.argpartition(-overlap, _BEST, axis=1)[:, :_BEST]
-        return self.size_nm[best[np.arange(sites), rng.integers(0, _BEST, sites)]]
+        best = np.argpartition(-overlap, BEST, axis=1)[:, :BEST]
+        return self.size_nm[best[np.arange(sites), rng.integers(0, BEST, sites)]]
 
     def solve(self, number: int, resolution: float) -> tuple[complex, ...]:
         """Amplitudes of all reflected orders of row ``number``, then of all transmitted ones, at one resolution."""
@@ -105,24 +106,33 @@ def is_steady(number: int) -> bool:
     return number // len(ROW_KINDS) % 2 == 1
 
 
-def solve_rows(
-    samplers: Sequence[RowSampler],
+class Sampler(Protocol):
+    """Chooses supercells by number, and solves them."""
+
+    def solve(self, number: int, resolution: float) -> tuple[complex, ...]:
+        """Amplitudes of the supercell of a number, by elements of one resolution."""
+
+
+def solve_sampled(
+    samplers: Sequence[Sampler],
     wanted: Sequence[Iterable[int]],
     record: Checkpoint,
     executor: Executor,
     progress: Progress,
+    step: str = "rows of unlike pillars",
 ) -> list[dict[int, tuple[complex, ...]]]:
-    """Solve rows of each sampler; rows in the checkpoint, which may hold others, are not solved again.
+    """Solve supercells of each sampler; those in the checkpoint, which may hold others, are not solved again.
 
     Args:
-        samplers: choose the rows.
-        wanted: numbers of the rows, for each sampler.
+        samplers: choose the supercells.
+        wanted: their numbers, for each sampler.
         record: the checkpoint.
-        executor: solves the rows.
-        progress: called with the number of solved rows.
+        executor: solves them.
+        progress: called with the number of solved ones.
+        step: their name for ``progress``.
 
     Returns:
-        For each sampler, amplitudes by number of the row.
+        For each sampler, amplitudes by number of the supercell.
     """
     numbers = {number * len(samplers) + place for place, rows in enumerate(wanted) for number in rows}
     total = len(numbers)
@@ -133,7 +143,7 @@ def solve_rows(
     for _, points in stream(executor, partial(_solve_chunk, tuple(samplers)), chunks, ahead=ahead):
         record.add(points)
         done += len(points)
-        progress("rows of unlike pillars", total - len(missing) + done, total)
+        progress(step, total - len(missing) + done, total)
     answers: list[dict[int, tuple[complex, ...]]] = [{} for _ in samplers]
     found = (point for point in record.points if point.number in numbers)
     for point in sorted(found, key=lambda point: point.number):
@@ -141,7 +151,7 @@ def solve_rows(
     return answers
 
 
-def _solve_chunk(samplers: Sequence[RowSampler], numbers: tuple[int, ...]) -> list[SolvedPoint]:
+def _solve_chunk(samplers: Sequence[Sampler], numbers: tuple[int, ...]) -> list[SolvedPoint]:
     points = []
     for number in numbers:
         start = time.perf_counter()

@@ -21,7 +21,7 @@ _TEXT = {
     "back_side": "reflected field of the modes at the neighbouring site, by term",
     "hop": "free elements of the hop to the next site",
 }
-_STATISTIC = "detail_"
+_STATISTIC, _COUPLING = "detail_", "coupling"
 
 
 def put_neighbours(group: h5py.Group, neighbours: Neighbours) -> None:
@@ -62,6 +62,8 @@ def _put_line(group: h5py.Group, line: TrainedLine) -> None:
         hdf5.put(group, f"{side}_nm", span_nm, units="nm", description=f"range of sizes {side} the row")
     for name in PARAMETERS:
         hdf5.put(group, name, getattr(model, name), units="1", description=_TEXT[name])
+    if line.coupling is not None:
+        hdf5.put(group, _COUPLING, line.coupling, units="1", description="free elements of the coupling across lines")
 
 
 def _line(group: h5py.Group) -> TrainedLine:
@@ -82,4 +84,7 @@ def _line(group: h5py.Group) -> TrainedLine:
     statistics = LineStatistics(
         **{name: type(default)(group.attrs[_STATISTIC + name]) for name, default in known.items()}
     )
-    return TrainedLine(LineModel(shape, (along[0], along[1]), (across[0], across[1]), **arrays), statistics)
+    coupling = np.asarray(group[_COUPLING][()], dtype=np.complex128) if _COUPLING in group else None
+    if coupling is not None and coupling.shape != (n_pairs,):
+        raise KeyError(f"{_COUPLING} of shape {(n_pairs,)} in {group.name}")
+    return TrainedLine(LineModel(shape, (along[0], along[1]), (across[0], across[1]), **arrays), statistics, coupling)

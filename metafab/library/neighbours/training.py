@@ -22,11 +22,12 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import fingerprint
 from metafab.core.storage.provenance import sources_sha256
 from metafab.library.library import Library, inputs_of
+from metafab.library.neighbours.blocks.training import couple, inputs_of_blocks
 from metafab.library.neighbours.doubt import RowDoubts, error_law
 from metafab.library.neighbours.fit import FitLimits, RowSet, fit, loss
 from metafab.library.neighbours.line import LineModel, LineShape, grown, initial_model
 from metafab.library.neighbours.model import Neighbours, TrainedLine
-from metafab.library.neighbours.rows import RESOLUTION, ROW_KINDS, RowSampler, is_steady, kind_of, solve_rows
+from metafab.library.neighbours.rows import RESOLUTION, ROW_KINDS, RowSampler, is_steady, kind_of, solve_sampled
 from metafab.library.neighbours.solve import line_corrections, line_gains
 from metafab.library.sweep.checkpoint import Checkpoint
 from metafab.spec import UnitCell
@@ -124,17 +125,22 @@ def train(
     # One thread of linear algebra for all fits: the limit holds for the process, and the first thread of ours that ends
     # a fit would lift it for the others.
     with Checkpoint(checkpoint, inputs_of_rows(library)) as record, threadpool_limits(1):
-        solved = solve_rows(samplers, [range(asked.rows)] * len(samplers), record, calls, progress)
+        solved = solve_sampled(samplers, [range(asked.rows)] * len(samplers), record, calls, progress)
         plans = [_Plan.of(*both, asked.more_modes) for both in zip(samplers, solved, strict=True)]
         models = _fitted(plans, calls, progress)
         unsure = [plan.unsure(model) for plan, model in zip(plans, models, strict=True)]
-        more = solve_rows(samplers, unsure, record, calls, progress)
+        more = solve_sampled(samplers, unsure, record, calls, progress)
         plans = [plan.with_rows(answers) for plan, answers in zip(plans, more, strict=True)]
         lines = _called(calls, _refit, list(zip(plans, models, strict=True)), "fit to all rows", progress)
     along = [line for line, sampler in zip(lines, samplers, strict=True) if sampler.polarisation == "x"]
     across = [line for line, sampler in zip(lines, samplers, strict=True) if sampler.polarisation == "y"]
     inputs = inputs_of_training(library.unit_cell)
-    return Neighbours((along[0], along[-1]), (across[0], across[-1]), inputs)
+    neighbours = Neighbours((along[0], along[-1]), (across[0], across[-1]), inputs)
+    if not asked.blocks:
+        return neighbours
+    of_blocks = checkpoint.with_suffix(".blocks") if checkpoint else None
+    with Checkpoint(of_blocks, inputs_of_blocks(library)) as record, threadpool_limits(1):
+        return couple(library, neighbours, asked.blocks, record, calls, progress)
 
 
 def _samplers(library: Library) -> list[RowSampler]:

@@ -16,8 +16,9 @@ from metafab.library.neighbours.open_lines import (
     open_line_slopes,
 )
 
-#: Neighbours that a window needs on each side. The coupling falls to 1/e within about five sites; measured on random
-#: sizes, corrections with 24 and with 48 neighbours differ by less than 1e-3 of the field.
+#: Neighbours that a window needs on each side. The coupling falls to 1/e within about five sites; measured on a
+#: lens, with 24 the corrections of the sites at a window's end are off by 4.5e-3 (light along) and 2.1e-3 of the field,
+#: which is some 5e-4 over a tile of 512.
 HALO_SITES = 24
 
 

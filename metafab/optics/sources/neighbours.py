@@ -1,6 +1,6 @@
 """Field behind the pillars of a mask, each among its own neighbours.
 
-Solving takes some 4 us a pillar, and PSF, focus, aberrations and chain of losses each pass over all pillars. The first
+Solving takes some 3 us a pillar, and PSF, focus, aberrations and chain of losses each pass over all pillars. The first
 complete pass therefore keeps the amplitudes in a scratch file, and later ones read them.
 """
 
@@ -26,7 +26,7 @@ from metafab.library.use.amplitudes import half_space_indices
 from metafab.optics.point_spread import NeighbourMap
 from metafab.optics.sources.source import FieldTile, WrittenField, written_field
 
-#: Sites of a tile along x and y. It is solved with 24 more sites on all four sides, which cost a sixth more time.
+#: Sites of a tile along x and y. It is solved with 24 more sites on all four sides, which cost a tenth more time.
 _TILE_SITES = 512
 #: Most bytes of amplitudes that are kept, those of a lens of 4 mm at the paper's period. Beyond, every pass solves.
 _MOST_KEPT_BYTES = 1 << 31

@@ -30,7 +30,7 @@ def test_a_pass_of_the_floor_reads_every_byte(tmp_path: Path) -> None:
 
 
 def test_the_floor_of_a_pillar_counts_the_products_of_all_truncations(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(algebra, "least_seconds", lambda work, rounds: 1.0)
+    monkeypatch.setattr(algebra, "_doubled_s", lambda orders, doublings: float(orders))
     loose, tight = (solve(paper_cell(120.0, 180.0), CellNumerics(target_error=target)) for target in (1e-2, 1e-4))
     assert 0.0 < algebra.algebra_s([loose]) < algebra.algebra_s([tight])
     assert algebra.algebra_s([loose, tight]) == algebra.algebra_s([loose]) + algebra.algebra_s([tight])

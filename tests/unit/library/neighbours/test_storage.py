@@ -29,6 +29,7 @@ def test_chains_of_earlier_versions_hold_their_source(tmp_path: Path) -> None:
             del group["site"]
         with pytest.raises(KeyError, match="site"):
             neighbours_of(file["old"])
+    assert new.coupling is None
     assert new.statistics.rows == old.statistics.rows == 10
     assert all(np.array_equal(getattr(new.model, name), getattr(model, name)) for name in PARAMETERS)
     terms = model.polynomials(np.random.default_rng(1).uniform(100.0, 200.0, (3, 5, 2)))

@@ -17,6 +17,7 @@ from metafab.core.errors import InputError
 from metafab.core.figures import LineStatistics
 from metafab.library.library import Library, inputs_of
 from metafab.library.neighbours import require_neighbours, rows, solve_supercell, training
+from metafab.library.neighbours.blocks import training as blocks
 from metafab.library.neighbours.doubt import RowDoubts, error_law
 from metafab.library.neighbours.fit import FitLimits, RowSet, fit, loss
 from metafab.library.neighbours.line import LineModel, LineShape
@@ -30,11 +31,12 @@ SMALL_SHAPE = LineShape(2, 1, 1)
 
 @pytest.fixture(scope="module")
 def coarse() -> Iterator[None]:
-    """Rows of three pillars by coarse elements, and a small chain: a training within seconds."""
+    """Rows of three pillars and blocks of four by coarse elements, and a small chain: a training within seconds."""
     with pytest.MonkeyPatch.context() as patch:
         for module in (rows, training):
             patch.setattr(module, "ROW_KINDS", (rows.RowKind(3),))
             patch.setattr(module, "RESOLUTION", 1.0)
+        patch.setattr(blocks, "BLOCK_KINDS", (((2, 2), True),))
         patch.setattr(training, "SHAPES", (SMALL_SHAPE, SMALL_SHAPE))
         patch.setattr(training, "STARTS", 1)
         yield
@@ -43,7 +45,9 @@ def coarse() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def asked(smooth_library: Library) -> Library:
     """A library whose unit cell asks for a model of neighbours."""
-    return replace(smooth_library, unit_cell=replace(smooth_library.unit_cell, neighbours=Training(60, more_modes=0)))
+    return replace(
+        smooth_library, unit_cell=replace(smooth_library.unit_cell, neighbours=Training(60, more_modes=0, blocks=2))
+    )
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +81,7 @@ def test_training_restarts_and_is_stored(asked: Library, tmp_path: Path, monkeyp
     # truncation.
     assert 130 + 6 <= len(calls) - 1 <= 130 + 6 + 2
     fits = {"first fits of the chains", "last fits of the chains", "fit to all rows"}
-    assert set(steps) == {"rows of unlike pillars", *fits}
+    assert set(steps) == {"rows of unlike pillars", "blocks of unlike pillars", *fits}
     assert model.shares_directions
     statistics = model.along[0].statistics
     assert (statistics.rows, statistics.held_out) == (55, 10)
@@ -88,6 +92,8 @@ def test_training_restarts_and_is_stored(asked: Library, tmp_path: Path, monkeyp
     save(replace(asked, neighbours=model), path)
     again = require_neighbours(load(path))
     assert np.array_equal(again.across[1].model.vector, model.across[0].model.vector)
+    coupling, stored = model.across[0].coupling, again.across[1].coupling
+    assert coupling is not None and stored is not None and np.array_equal(stored, coupling)
     assert again.along[0].statistics == statistics
     assert again.inputs_sha256 == model.inputs_sha256
     assert "held-out rows" in load(path).key_figures()["neighbours"]
@@ -130,7 +136,7 @@ def test_the_best_start_is_fitted_to_all_rows(
 
 @pytest.mark.usefixtures("coarse")
 def test_more_modes_come_in_a_stage_of_their_own(trained: Library, asked: Library, solved_rows: Path) -> None:
-    cell = replace(asked.unit_cell, neighbours=Training(60, more_modes=1))
+    cell = replace(asked.unit_cell, neighbours=Training(60, more_modes=1, blocks=0))
     lines = training.train(replace(asked, unit_cell=cell), checkpoint=solved_rows).lines
     for line, fewer in zip(lines, require_neighbours(trained).lines, strict=True):
         assert line.model.shape == LineShape(3, 2, 1)
