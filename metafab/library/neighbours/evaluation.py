@@ -1,8 +1,8 @@
 """Field of pillars among their neighbours by the library's chains of coupled modes: rows, and blocks of sites.
 
-In a block every row along x and every row along y is a closed chain, coupled to the next ones where the library holds
-their coupling. The field of a site is the library's plus the correction by its row and the correction by its column;
-what is left of the joint effect of rows and columns, and cross-polarised light, enter the stated error.
+In a block every row along x and every row along y is a closed chain, coupled to the next ones, and to those of the
+other polarisation, where the library holds their couplings. The field of a site is the library's plus the correction by
+its row and the correction by its column; what is left of their joint effect enters the stated error.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import numpy as np
 from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
 from metafab.core.errors import InputError
-from metafab.library.neighbours.blocks.lattice import lattice_corrections
+from metafab.library.neighbours.blocks.cross import CrossLight
+from metafab.library.neighbours.blocks.lattice import SolvedLines
 from metafab.library.neighbours.doubt import RowDoubts
 from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.library.neighbours.solve import line_corrections
@@ -35,8 +36,8 @@ _MOST_COUPLED_SITES = 400
 def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
     """Transmitted orders of a supercell by the library's model of neighbours.
 
-    Amplitudes of both incident polarisations, without cross-polarised light. InputError if the library holds no such
-    model, or a site has no pillar or one outside its sizes.
+    Amplitudes of both incident polarisations; cross-polarised light where the library holds the couplings of blocks.
+    InputError if the library holds no such model, or a site has no pillar or one outside its sizes.
     """
     start = time.perf_counter()
     neighbours = require_neighbours(library)
@@ -52,14 +53,18 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
     order = supercell.propagating_orders("x")
     t = np.zeros((len(order), 2, 2), dtype=np.complex128)
     squared, power = 0.0, 0.0
+    corrected = [_corrected(neighbours, size_nm, axis) for axis in range(len(POLARISATIONS))]
+    cross = np.zeros((2, *supercell.shape), dtype=np.complex128)
+    if neighbours.cross is not None and all(len(coupled) == 2 for _, coupled in corrected):
+        cross = CrossLight(neighbours, [coupled for _, coupled in corrected]).field(neighbours.cross)
     for axis, (light, local) in enumerate(zip(POLARISATIONS, (known.t_xx, known.t_yy), strict=True)):
-        corrections = block_corrections(neighbours, size_nm, axis)
-        amplitude = supercell.local_period(order, local + corrections.sum(axis=0))
+        corrections = corrected[axis][0]
+        amplitude = np.zeros((len(order), 2), dtype=np.complex128)
+        amplitude[:, axis] = supercell.local_period(order, local + corrections.sum(axis=0))
+        amplitude[:, 1 - axis] = supercell.local_period(order, cross[axis])
         # The model does not conserve energy: amplitudes are scaled down where more light would leave than arrives.
-        both = np.zeros((len(order), 2), dtype=np.complex128)
-        both[:, axis] = amplitude
-        transmitted = float(np.sum(supercell.relative_power(order, both, light)))
-        t[:, axis, axis] = amplitude / np.sqrt(max(1.0, transmitted))
+        transmitted = float(np.sum(supercell.relative_power(order, amplitude, light)))
+        t[:, :, axis] = amplitude / np.sqrt(max(1.0, transmitted))
         norm = float(np.linalg.norm(local))
         steps = [float(np.linalg.norm(local - np.roll(local, 1, axis))) / norm for axis in (1, 0)]
         error = float(np.max(known.error)) + max(0.0, 1.0 - 1.0 / np.sqrt(max(1.0, transmitted)))
@@ -103,15 +108,20 @@ def block_corrections(neighbours: Neighbours, size_nm: FloatArray, axis: int) ->
 
     ``size_nm`` is (width, length), shape (n_y, n_x, 2); ``axis`` is the polarisation, 0 for x and 1 for y.
     """
-    light = POLARISATIONS[axis]
-    corrections = np.zeros((2, *size_nm.shape[:2]), dtype=np.complex128)
+    return _corrected(neighbours, size_nm, axis)[0]
+
+
+def _corrected(neighbours: Neighbours, size_nm: FloatArray, axis: int) -> tuple[ComplexArray, list[SolvedLines]]:
+    """:func:`block_corrections`, and the lines of each direction that are coupled to the next ones."""
+    corrections, coupled = np.zeros((2, *size_nm.shape[:2]), dtype=np.complex128), []
     for direction, lines in enumerate((size_nm, size_nm.transpose(1, 0, 2)[..., ::-1])):
         if lines.shape[1] > 1:
-            line = neighbours.line(direction, light)
+            line = neighbours.line(direction, POLARISATIONS[axis])
             terms = line.model.polynomials(lines)
             if line.coupling is None or len(lines) == 1 or terms[..., 0].size > _MOST_COUPLED_SITES:
                 found = line_corrections(line.model, terms)
             else:
-                found = lattice_corrections(line.model, line.coupling, terms)
+                coupled.append(SolvedLines.of(line.model, line.coupling, terms))
+                found = coupled[-1].corrections
             corrections[direction] = found if direction == 0 else found.T
-    return corrections
+    return corrections, coupled

@@ -30,6 +30,9 @@ class Neighbours:
     along: tuple[TrainedLine, TrainedLine]
     across: tuple[TrainedLine, TrainedLine]  #: Light polarised across the row, likewise.
     inputs_sha256: str = ""  #: Fingerprint of the training's inputs.
+    #: Coupling of both polarisations in a block: free elements of all M
+    #: (:mod:`metafab.library.neighbours.blocks.cross`), shape (n,); None where no blocks were solved.
+    cross: ComplexArray | None = None
 
     def line(self, direction: int, polarisation: Polarisation) -> TrainedLine:
         """The chain of rows along x (``direction`` 0) or y (1); its sizes are (along the row, across the row)."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import h5py
 import numpy as np
 
 from metafab.core.figures import LineStatistics
 from metafab.core.storage import hdf5
+from metafab.library.neighbours.blocks.cross import free_elements
 from metafab.library.neighbours.line import PARAMETERS, LineModel, LineShape
 from metafab.library.neighbours.model import Neighbours, TrainedLine
 
@@ -21,7 +22,7 @@ _TEXT = {
     "back_side": "reflected field of the modes at the neighbouring site, by term",
     "hop": "free elements of the hop to the next site",
 }
-_STATISTIC, _COUPLING = "detail_", "coupling"
+_STATISTIC, _COUPLING, _CROSS = "detail_", "coupling", "cross"
 
 
 def put_neighbours(group: h5py.Group, neighbours: Neighbours) -> None:
@@ -31,6 +32,9 @@ def put_neighbours(group: h5py.Group, neighbours: Neighbours) -> None:
     for number, direction in enumerate(directions):
         _put_line(group.create_group(f"rows_{direction}_along"), neighbours.along[number])
         _put_line(group.create_group(f"rows_{direction}_across"), neighbours.across[number])
+    if neighbours.cross is not None:
+        text = "free elements of the couplings of both polarisations"
+        hdf5.put(group, _CROSS, neighbours.cross, units="1", description=text)
 
 
 def neighbours_of(group: h5py.Group) -> Neighbours:
@@ -44,11 +48,17 @@ def neighbours_of(group: h5py.Group) -> Neighbours:
         name: _line(group[name]) for name in {f"rows_{d}_{light}" for d in directions for light in ("along", "across")}
     }
     x, y = directions
-    return Neighbours(
+    neighbours = Neighbours(
         along=(lines[f"rows_{x}_along"], lines[f"rows_{y}_along"]),
         across=(lines[f"rows_{x}_across"], lines[f"rows_{y}_across"]),
         inputs_sha256=str(group.attrs["inputs_sha256"]),
     )
+    if _CROSS not in group:
+        return neighbours
+    cross, expected = np.asarray(group[_CROSS][()], dtype=np.complex128), (free_elements(neighbours),)
+    if cross.shape != expected:
+        raise KeyError(f"{_CROSS} of shape {expected} in {group.name}")
+    return replace(neighbours, cross=cross)
 
 
 def _put_line(group: h5py.Group, line: TrainedLine) -> None:

@@ -31,17 +31,43 @@ def coupling_matrix(model: LineModel, coupling: ComplexArray) -> ComplexArray:
     return matrix
 
 
-def lattice_corrections(model: LineModel, coupling: ComplexArray, terms: FloatArray) -> ComplexArray:
-    """Corrections of the transmitted field of a periodic block by its lines: shape (lines, sites).
+@dataclass(frozen=True)
+class SolvedLines:
+    """Modes on the coupled lines of a periodic block."""
 
-    Args:
-        model: the chain along the lines.
-        coupling: free elements of K, shape (n_pairs,).
-        terms: polynomial values of the sizes (:meth:`LineModel.polynomials`), shape (lines, sites, terms).
-    """
-    matrix = coupling_matrix(model, coupling)
-    lattice, columns = (_Lattice.of(model, terms, equal=equal) for equal in (False, True))
-    return (lattice.field(matrix) - columns.field(matrix)).reshape(terms.shape[:2])
+    amplitude: ComplexArray  #: Shape (lines, sites, modes).
+    corrections: ComplexArray  #: Of the transmitted field by the lines, shape (lines, sites).
+    _factors: Any
+    _taps: csc_array
+
+    @classmethod
+    def of(cls, model: LineModel, coupling: ComplexArray, terms: FloatArray) -> SolvedLines:
+        """Solve a block.
+
+        Args:
+            model: the chain along the lines.
+            coupling: free elements of K, shape (n_pairs,).
+            terms: polynomial values of the sizes (:meth:`LineModel.polynomials`), shape (lines, sites, terms).
+        """
+        matrix = coupling_matrix(model, coupling)
+        lattice, columns = (_Lattice.of(model, terms, equal=equal) for equal in (False, True))
+        factors: Any = splu(lattice.coupled(matrix))
+        amplitude = np.asarray(factors.solve(lattice.source), dtype=np.complex128)
+        corrections = np.asarray(lattice.taps @ amplitude - columns.field(matrix), dtype=np.complex128)
+        lines, sites, _ = terms.shape
+        return cls(amplitude.reshape(lines, sites, -1), corrections.reshape(lines, sites), factors, lattice.taps)
+
+    def field_of(self, source: ComplexArray) -> ComplexArray:
+        """Field that a further source of the modes, shape (lines, sites, modes), sends out: shape (lines, sites)."""
+        return np.asarray(self._taps @ self._factors.solve(source.ravel())).reshape(source.shape[:2])
+
+    def adjoint(self, to_orders: ComplexArray) -> ComplexArray:
+        """Derivatives of orders by sources of the modes, shape (orders, lines, sites, modes).
+
+        ``to_orders``, shape (orders, lines sites), maps the field of the sites to the orders.
+        """
+        rows = np.asarray(self._taps.T @ to_orders.T, dtype=np.complex128)
+        return np.asarray(self._factors.solve(rows, "T").T).reshape(len(to_orders), *self.amplitude.shape)
 
 
 @dataclass(frozen=True)
@@ -99,11 +125,11 @@ class _Lattice:
 
     def field(self, coupling: ComplexArray) -> ComplexArray:
         """Field that the modes add to the sites, shape (lines sites,), with K of shape (modes, modes)."""
-        return np.asarray(self.taps @ splu(self._coupled(coupling)).solve(self.source))
+        return np.asarray(self.taps @ splu(self.coupled(coupling)).solve(self.source))
 
     def orders(self, coupling: ComplexArray, to_orders: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Its orders, shape (orders,), and derivatives by the free elements of K, shape (orders, n_pairs)."""
-        factors: Any = splu(self._coupled(coupling))
+        factors: Any = splu(self.coupled(coupling))
         r, s = self.model.shape.pairs
         amplitude = factors.solve(self.source)
         rows = np.asarray(self.taps.T @ to_orders.T, dtype=np.complex128)
@@ -113,7 +139,7 @@ class _Lattice:
         slopes = both[:, r, s] + np.where(r != s, both[:, s, r], 0.0)
         return np.asarray(to_orders @ (self.taps @ amplitude)), np.asarray(slopes)
 
-    def _coupled(self, coupling: ComplexArray) -> csc_array:
+    def coupled(self, coupling: ComplexArray) -> csc_array:
         """The matrix with K."""
         r, s = np.indices(coupling.shape)
         across, modes = self.across.tocoo(), len(coupling)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from metafab.core.conventions import ComplexArray
-from metafab.library.neighbours.blocks.lattice import BlockLight, coupling_matrix, lattice_corrections
+from metafab.library.neighbours.blocks.lattice import BlockLight, SolvedLines, coupling_matrix
 from metafab.library.neighbours.line import LineModel, LineShape, initial_model
 from metafab.library.neighbours.solve import line_corrections, uniform_field
 
@@ -46,20 +46,21 @@ def test_modes_obey_the_equations_of_the_module(lines: int, sites: int) -> None:
         return own + np.roll(side, 1, axis=1).sum(axis=-1) + np.roll(side * parity, -1, axis=1).sum(axis=-1)
 
     columns = np.concatenate([field(terms[:, m : m + 1]) for m in range(sites)], axis=1)
-    np.testing.assert_allclose(lattice_corrections(model, coupling, terms), field(terms) - columns, atol=1e-12)
+    np.testing.assert_allclose(SolvedLines.of(model, coupling, terms).corrections, field(terms) - columns, atol=1e-12)
 
 
 def test_rows_and_columns_alone_are_those_of_the_chains_with_any_coupling() -> None:
     model, coupling, size_nm = block(3, 4)
     rows = model.polynomials(np.broadcast_to(size_nm[:1], size_nm.shape))
-    np.testing.assert_allclose(lattice_corrections(model, coupling, rows), line_corrections(model, rows), atol=1e-12)
+    found = SolvedLines.of(model, coupling, rows).corrections
+    np.testing.assert_allclose(found, line_corrections(model, rows), atol=1e-12)
     columns = model.polynomials(np.broadcast_to(size_nm[:, :1], size_nm.shape))
-    assert np.abs(lattice_corrections(model, coupling, columns)).max() < 1e-12
+    assert np.abs(SolvedLines.of(model, coupling, columns).corrections).max() < 1e-12
     terms = model.polynomials(size_nm)
-    uncoupled = lattice_corrections(model, 0.0 * coupling, terms)
+    uncoupled = SolvedLines.of(model, 0.0 * coupling, terms).corrections
     np.testing.assert_allclose(uncoupled, line_corrections(model, terms), atol=1e-12)
     assert (
-        np.abs(lattice_corrections(model, coupling, terms) - uncoupled).max()
+        np.abs(SolvedLines.of(model, coupling, terms).corrections - uncoupled).max()
         > 1e-3 * np.abs(uniform_field(model, terms)).max()
     )
 
@@ -69,7 +70,7 @@ def test_derivatives_are_those_of_differences() -> None:
     to_orders = RNG.normal(size=(5, 9)) + 1j * RNG.normal(size=(5, 9))
     light = BlockLight.of(model, model.polynomials(size_nm), to_orders)
     orders, slopes = light.orders(coupling)
-    expected = to_orders @ lattice_corrections(model, coupling, model.polynomials(size_nm)).ravel()
+    expected = to_orders @ SolvedLines.of(model, coupling, model.polynomials(size_nm)).corrections.ravel()
     np.testing.assert_allclose(orders, expected, atol=1e-12)
     step = 1e-6 * (RNG.normal(size=coupling.size) + 1j * RNG.normal(size=coupling.size))
     change = 0.5 * (light.orders(coupling + step)[0] - light.orders(coupling - step)[0])
