@@ -18,6 +18,7 @@ from metafab.core.errors import InputError
 from metafab.library.neighbours.blocks.cross import CrossLight
 from metafab.library.neighbours.blocks.lattice import SolvedLines
 from metafab.library.neighbours.doubt import RowDoubts
+from metafab.library.neighbours.line import IntArray
 from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.library.neighbours.solve import line_corrections
 
@@ -58,12 +59,14 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
     if neighbours.cross is not None and all(len(coupled) == 2 for _, coupled in corrected):
         cross = CrossLight(neighbours, [coupled for _, coupled in corrected]).field(neighbours.cross)
     for axis, (light, local) in enumerate(zip(POLARISATIONS, (known.t_xx, known.t_yy), strict=True)):
-        corrections = corrected[axis][0]
-        amplitude = np.zeros((len(order), 2), dtype=np.complex128)
-        amplitude[:, axis] = supercell.local_period(order, local + corrections.sum(axis=0))
-        amplitude[:, 1 - axis] = supercell.local_period(order, cross[axis])
+        corrections, coupled = corrected[axis]
+        amplitude, transmitted = _amplitude(supercell, order, axis, local + corrections.sum(axis=0), cross[axis])
+        if coupled and transmitted > 1.0:
+            # A resonance of coupled lines that sends out more light than arrives is false: lines without coupling.
+            corrections = block_corrections(neighbours.uncoupled, size_nm, axis)
+            field = local + corrections.sum(axis=0)
+            amplitude, transmitted = _amplitude(supercell, order, axis, field, np.zeros_like(field))
         # The model does not conserve energy: amplitudes are scaled down where more light would leave than arrives.
-        transmitted = float(np.sum(supercell.relative_power(order, amplitude, light)))
         t[:, :, axis] = amplitude / np.sqrt(max(1.0, transmitted))
         norm = float(np.linalg.norm(local))
         steps = [float(np.linalg.norm(local - np.roll(local, 1, axis))) / norm for axis in (1, 0)]
@@ -76,6 +79,16 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
         weight = float(np.sum(np.abs(amplitude) ** 2))
         squared, power = squared + error**2 * weight, power + weight
     return SupercellOrders(supercell, order, t, float(np.sqrt(squared / power)), time.perf_counter() - start)
+
+
+def _amplitude(
+    supercell: Supercell, order: IntArray, axis: int, field: ComplexArray, cross: ComplexArray
+) -> tuple[ComplexArray, float]:
+    """Amplitudes of orders, shape (orders, 2), and their power, from a block's field and cross-polarised field."""
+    amplitude = np.zeros((len(order), 2), dtype=np.complex128)
+    amplitude[:, axis] = supercell.local_period(order, field)
+    amplitude[:, 1 - axis] = supercell.local_period(order, cross)
+    return amplitude, float(np.sum(supercell.relative_power(order, amplitude, POLARISATIONS[axis])))
 
 
 def _stated_error(

@@ -39,7 +39,12 @@ class Neighbours:
         is_along = polarisation == ("x", "y")[direction]
         return (self.along if is_along else self.across)[direction]
 
-    def with_couplings(self, couplings: Sequence[ComplexArray]) -> Neighbours:
+    @property
+    def uncoupled(self) -> Neighbours:
+        """The model without the couplings of blocks."""
+        return replace(self.with_couplings([None] * len(self.lines)), cross=None)
+
+    def with_couplings(self, couplings: Sequence[ComplexArray | None]) -> Neighbours:
         """The model with the couplings of its distinct chains, shape (n_pairs,) each, in the order of :attr:`lines`."""
         lines = [replace(line, coupling=coupling) for line, coupling in zip(self.lines, couplings, strict=True)]
         half = len(lines) // 2

@@ -2,7 +2,8 @@
 
 The target phases of both polarisations change steadily over a block, as in a lens, each in a direction of its own. Most
 blocks are their own image under a half turn, and cost a fifth of others. Blocks of 3 x 3 see the modes at the Bloch
-phases of thirds of a turn across the lines; fitted to these alone, blocks of 4 x 4 became worse.
+phases of thirds of a turn across the lines; fitted to these alone, blocks of 4 x 4 became worse. Six blocks of 5 x 5
+beside 64 smaller ones lowered the error of others from 0.076 to 0.059, and that of 4 x 4 from 0.042 to 0.036.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from metafab.library.neighbours.rows import BEST, RESOLUTION, STEEPEST_RAD, solv
 from metafab.library.sweep.checkpoint import Checkpoint
 
 #: Pillars along y and x of the blocks, in turn, and whether a half turn maps them to themselves.
-BLOCK_KINDS = (((3, 3), True), ((3, 3), True), ((3, 3), False), ((4, 4), True))
+BLOCK_KINDS = (((3, 3), True), ((4, 4), True), ((3, 3), False), ((5, 5), True))
 #: Weight of the squared free elements of K, relative to one block whose error is :data:`_FLOOR`.
 _RIDGE = 1e-2
 #: Relative error of a block without K above which it counts less: strong resonances would rule the fit.

@@ -1,0 +1,47 @@
+"""Light of a block by the model: a false resonance of coupled lines is not believed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from metafab.cell import pillar_cell
+from metafab.cell.supercell import Supercell
+from metafab.core.figures import LineStatistics
+from metafab.library.library import Library
+from metafab.library.neighbours.blocks.cross import free_elements
+from metafab.library.neighbours.evaluation import block_corrections, solve_supercell
+from metafab.library.neighbours.line import LineShape, initial_model
+from metafab.library.neighbours.model import Neighbours, TrainedLine
+
+SPAN = (100.0, 250.0)
+
+
+def test_coupled_lines_that_send_out_more_light_than_arrives_are_solved_uncoupled(smooth_library: Library) -> None:
+    rng = np.random.default_rng(3)
+    models = [initial_model(LineShape(2, 1, 1), SPAN, SPAN, seed) for seed in (1, 2)]
+    along, across = (TrainedLine(replace(each, own=100.0 * each.own), LineStatistics()) for each in models)
+    bare = Neighbours((along, along), (across, across))
+    bare = replace(bare, cross=rng.normal(size=free_elements(bare)) + 0.0j)
+    block = Supercell(pillar_cell(smooth_library.unit_cell, 0.0, 0.0), rng.uniform(*SPAN, (3, 4, 2)))
+    orders, width_nm, length_nm = block.propagating_orders("x"), block.size_nm[..., 0], block.size_nm[..., 1]
+    local = smooth_library.surface(width_nm, length_nm).t_xx
+    drawn = [rng.normal(size=2 * line.model.shape.pairs[0].size).view(np.complex128) for line in bare.lines]
+    believed = refused = 0
+    for strength in np.linspace(0.02, 0.5, 40):
+        coupled = bare.with_couplings([strength * each for each in drawn])
+        found, lines = (
+            solve_supercell(replace(smooth_library, neighbours=each), block).t for each in (coupled, coupled.uncoupled)
+        )
+        field = local + block_corrections(coupled, block.size_nm, 0).sum(axis=0)
+        sent = block.relative_power(orders, np.stack([block.local_period(orders, field), found[:, 1, 0]], axis=1), "x")
+        if found[:, 1, 0].any():
+            assert sent.sum() <= 1.0 + 1e-12
+            np.testing.assert_allclose(found[:, 0, 0], block.local_period(orders, field), atol=1e-12)
+            believed += 1
+        else:
+            np.testing.assert_array_equal(found[:, :, 0], lines[:, :, 0])
+            refused += 1
+    assert believed
+    assert refused
