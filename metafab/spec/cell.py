@@ -259,8 +259,9 @@ class Neighbours:
     #: Even and odd modes of a pillar beyond 4 and 3 or 4. With 1 the field of a mask takes two thirds of the time, and
     #: the median error on rows of random sizes is 1.3 times as large.
     more_modes: Annotated[int, Field(strict=True, ge=0, le=3)] = 2
-    #: Blocks of 3 x 3 and 4 x 4 pillars to solve, for the coupling of rows across themselves; 0 for none. They take
-    #: some six minutes of processor time, and serve orders of blocks (`metafab fullwave --solver model`).
+    #: Blocks of 3 x 3 to 5 x 5 pillars to solve, for the coupling of rows across themselves and of both polarisations;
+    #: 0 for none. They take some 15 minutes of processor time, and serve orders of blocks
+    #: (`metafab fullwave --solver model`).
     blocks: Annotated[int, Field(strict=True, ge=0, le=2000)] = 64
 
 
