@@ -14,6 +14,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import islice, pairwise
+from threading import Lock
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from metafab.core.errors import InputError
@@ -103,10 +104,25 @@ def open_threads(
     return ThreadPoolExecutor(workers or default_workers())
 
 
-def one_blas_thread() -> AbstractContextManager[object]:
-    """Limit the BLAS libraries of this process to one thread each; they are looked up at the first call alone."""
-    limited: AbstractContextManager[object] = _blas().limit(limits=1, user_api="blas")
-    return limited
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Limit the BLAS libraries of this process to one thread each; they are looked up at the first call alone.
+
+    The limit holds for the whole process: while one block holds it, others, of this thread or another one, leave it as
+    it is. Each would restore what it found: after blocks that overlap, the limit would stay.
+    """
+    if not _blas_limit.acquire(blocking=False):
+        yield
+        return
+    try:
+        with _blas().limit(limits=1, user_api="blas"):
+            yield
+    finally:
+        _blas_limit.release()
+
+
+#: Held by the block that limits BLAS.
+_blas_limit = Lock()
 
 
 @cache
@@ -141,19 +157,25 @@ class KeptThreads:
     def map(self, function: Callable[..., Result], *items: Iterable[Any]) -> list[Result]:
         """Call ``function`` for each item on all cores and return the results in the order of the items.
 
-        A single item is computed by this thread alone, whose :func:`spread` then finds the other threads free.
+        A single item is computed by this thread alone, whose :func:`spread` then finds the other threads free. After an
+        exception, Ctrl-C included, no further calls begin.
         """
         calls = list(enumerate(zip(*items, strict=True)))
         left, results = iter(calls), dict[int, Result]()
 
         def work() -> None:
-            for number, arguments in left:
-                results[number] = function(*arguments)
+            try:
+                for number, arguments in left:
+                    results[number] = function(*arguments)
+            finally:
+                deque(left, maxlen=0)  # None are left, except after an exception.
 
         jobs = [self.submit(work) for _ in range(min(default_workers(), len(calls)) - 1)]
-        work()
-        for job in jobs:
-            job.result()
+        try:
+            work()
+        finally:
+            for job in jobs:
+                job.result()
         return [results[number] for number, _ in calls]
 
 

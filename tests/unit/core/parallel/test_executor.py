@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
+import time
 from collections.abc import Iterator
 
 import numpy as np
@@ -99,6 +103,54 @@ def test_all_cores_share_the_items_of_kept_threads() -> None:
         meet.wait()
         assert job.result() is not threads
         assert all(library["num_threads"] == 1 for library in threadpool_info() if library["user_api"] == "blas")
+
+
+def test_no_calls_begin_after_one_that_failed() -> None:
+    begun: list[int] = []
+
+    def call(number: int) -> None:
+        begun.append(number)
+        if number == 0:
+            raise InputError.single("item", "value", "another number", "0")
+        time.sleep(0.01)
+
+    with kept_threads() as threads, pytest.raises(InputError, match="another number"):
+        threads.map(call, range(100))
+    assert len(begun) < 100
+
+
+def test_blas_has_its_threads_again_after_blocks_that_overlap() -> None:
+    """A thread ends its block after the start and before the end of one in another thread."""
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "2"}
+    subprocess.run([sys.executable, "-c", _OVERLAP], env=environment, check=True, timeout=120.0)
+
+
+_OVERLAP = """
+import threading
+import numpy
+from threadpoolctl import threadpool_info
+from metafab.core.parallel.executor import one_blas_thread
+
+first, second = threading.Event(), threading.Event()
+
+def overlap():
+    with one_blas_thread():
+        first.set()
+        second.wait()
+
+def blas_threads():
+    return [library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"]
+
+before = blas_threads()
+other = threading.Thread(target=overlap)
+other.start()
+first.wait()
+with one_blas_thread():
+    assert set(blas_threads()) == {1}
+    second.set()
+    other.join()
+assert blas_threads() == before, blas_threads()
+"""
 
 
 def _fill(first: int, stop: int, rows: FloatArray) -> None:
