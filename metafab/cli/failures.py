@@ -20,6 +20,7 @@ _DISK_REMEDIES = {
     **dict.fromkeys((errno.EROFS, errno.EACCES, errno.EPERM), _FORBIDDEN),
     **dict.fromkeys((errno.ENOTDIR, errno.EISDIR, errno.EEXIST), _MISPLACED),
     errno.ENOENT: "check the path",
+    errno.EAGAIN: "raise the limit of processes (`ulimit -u`) or use fewer `--workers`",
     errno.EMFILE: "raise the limit of open files (`ulimit -n`) or use fewer `--workers`",
 }
 _REMEDIES: tuple[tuple[type[Exception], str], ...] = (

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from metafab.core.errors import WorkerLostError
 from metafab.core.parallel.executor import default_workers
-from metafab.core.parallel.processes import MOST_LOSSES, begin_copy, call_name, can_fork
+from metafab.core.parallel.processes import MOST_LOSSES, begin_copy, call_name, can_fork, none_left_of_refused
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -26,7 +26,8 @@ def shared(function: Callable[[Item], Result], items: Sequence[Item], workers: i
     A fork starts without imports and without sending data, which pays for work of a few seconds; use
     :mod:`metafab.core.parallel.executor` for longer work. Only results are pickled. The work is done in this process,
     with the same results, for one worker, with other threads running, or on systems other than Linux. Work of a process
-    that is killed is done again; WorkerLostError if three in a row end on one item.
+    that is killed is done again; WorkerLostError if three in a row end on one item. Where the system refuses a process,
+    this one does the work that is left.
 
     ``function`` has no side effects in this process and starts no compiled parallel loop. ``workers`` None is all
     cores.
@@ -42,7 +43,12 @@ def shared(function: Callable[[Item], Result], items: Sequence[Item], workers: i
         try:
             # With the fork context, the arguments of the initialiser are inherited, not pickled.
             with ProcessPoolExecutor(workers, context, initializer=_inherit, initargs=(function, items)) as pool:
-                for result in pool.map(_apply, range(done, len(items))):
+                try:
+                    with none_left_of_refused():
+                        results = pool.map(_apply, range(done, len(items)))
+                except OSError:
+                    results = map(function, items[done:])
+                for result in results:
                     done, losses = done + 1, 0
                     yield result
         except BrokenProcessPool:

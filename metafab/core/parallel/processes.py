@@ -5,22 +5,24 @@ first time they all start again in a new pool. A piece that is lost twice goes o
 piece that is lost there too ends in :class:`metafab.core.errors.WorkerLostError`, which names it.
 
 Workers are forked where that is safe, which saves each a second of imports, and otherwise spawned. They end when their
-parent is gone, however it ended.
+parent is gone, however it ended. Where the system refuses some of them, the others do the work, or this process.
 """
 
 from __future__ import annotations
 
 import ctypes
 import gc
+import logging
 import multiprocessing
 import os
 import signal
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from functools import partial
 from multiprocessing import connection
 from typing import Any, TypeVar
@@ -32,6 +34,7 @@ from metafab.core.parallel.interrupts import held_interrupts
 _ORPHANED = 3
 _PR_SET_PDEATHSIG = 1
 Result = TypeVar("Result")
+_log = logging.getLogger(__name__)
 
 #: Losses after which a piece is given up.
 MOST_LOSSES = 3
@@ -87,6 +90,8 @@ class WorkerProcesses(Executor):
         self._count = count
         self._lock = threading.RLock()
         self._pool: ProcessPoolExecutor | None = None
+        self._has_begun = False  # whether the pool has taken a piece
+        self._smaller: list[ProcessPoolExecutor] = []  # pools that were refused further processes
         self._lone_pool: ProcessPoolExecutor | None = None
         self._alone: deque[_Piece] = deque()
         self._closed = False
@@ -104,23 +109,34 @@ class WorkerProcesses(Executor):
         """End the workers, after the work in progress if ``wait``."""
         with self._lock:
             self._closed = True
-            pools = [pool for pool in (self._pool, self._lone_pool) if pool is not None]
+            pools = [pool for pool in (self._pool, self._lone_pool, *self._smaller) if pool is not None]
         for pool in pools:
             pool.shutdown(wait=wait, cancel_futures=cancel_futures)
 
     def _start(self, piece: _Piece) -> None:
         """Start a piece among the others; the lock is held."""
-        while True:
+        while self._count:
             if self._pool is None:
-                self._pool = self._new_pool(self._count)
+                self._pool, self._has_begun = self._new_pool(self._count), False
             try:
-                with held_interrupts():
+                with held_interrupts(), none_left_of_refused():
                     inner = self._pool.submit(piece.call)
             except BrokenProcessPool:  # it broke just now
                 self._pool = None
                 continue
+            except (OSError, RuntimeError) as error:  # no room for so many processes, or for the pool's thread
+                if self._has_begun:  # the processes that it has finish what they were given
+                    self._smaller.append(self._pool)
+                self._pool, self._count = None, self._count - 1
+                _log.warning("the system refuses a worker process (%s): work goes on with fewer", error)
+                continue
+            self._has_begun = True
             self._follow(piece, inner, self._pool)
             return
+        try:
+            piece.set_result(piece.call())
+        except Exception as error:  # as a pool would: the future carries it
+            piece.set_exception(error)
 
     def _start_alone(self) -> None:
         """Start the first of the pieces that run alone, unless one is running; the lock is held."""
@@ -176,6 +192,23 @@ class WorkerProcesses(Executor):
                     self._start_alone()
                 return
         piece.set_exception(WorkerLostError(call_name(piece.call), piece.losses))
+
+
+@contextmanager
+def none_left_of_refused() -> Iterator[None]:
+    """End the processes that the block has started if it fails.
+
+    A pool that is refused one of its processes leaves the others without a manager: this process would wait for them at
+    its end.
+    """
+    before = set(multiprocessing.active_children())
+    try:
+        yield
+    except (OSError, RuntimeError):
+        for process in set(multiprocessing.active_children()) - before:
+            process.kill()
+            process.join()
+        raise
 
 
 def can_fork() -> bool:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
 import time
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import pytest
@@ -15,6 +18,7 @@ from benchmarks.pipeline.faults import processes_of
 from metafab.core.errors import WorkerLostError
 from metafab.core.parallel import processes
 from metafab.core.parallel.executor import in_order, open_executor, stream
+from metafab.core.parallel.forked import shared
 from metafab.core.parallel.processes import MOST_LOSSES
 from tests.main_job import ROOT
 
@@ -111,6 +115,24 @@ def test_pieces_that_have_not_begun_can_be_cancelled() -> None:
         assert pieces[-1].cancel() and pieces[-1].cancelled()
         executor.shutdown(wait=True, cancel_futures=True)
     assert all(piece.done() for piece in pieces)
+
+
+@pytest.mark.alone
+@pytest.mark.parametrize("room", [0, 1, 2])
+def test_work_goes_on_where_the_system_refuses_processes(room: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pool without one of its processes would leave the others, for which this process waits at its end."""
+    begin = BaseProcess.start
+
+    def start(process: BaseProcess) -> None:
+        if len(multiprocessing.active_children()) >= room:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        begin(process)
+
+    monkeypatch.setattr(BaseProcess, "start", start)
+    for call in (lambda: in_order(executor, _squared, range(12)), lambda: shared(_squared, range(12), 3)):
+        with open_executor(3) as executor:
+            assert list(call()) == [value * value for value in range(12)]
+        assert not multiprocessing.active_children()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
