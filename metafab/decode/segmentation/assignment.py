@@ -118,7 +118,7 @@ class Segmentation:
         if plain.any():
             wide[(distance(plain) <= WINDOW_PX / step) & (label == 0)] = 0
         wide[prepared.plain] = 0
-        target = fragment_targets(depths, wide)
+        target = fragment_targets(depths, wide, step)
         stays = target == np.arange(target.size)
         renumbered = (np.cumsum(stays) - 1).astype(np.int32)
         kept = tuple(depth for depth, stay in zip(depths, stays[1:].tolist(), strict=True) if stay)

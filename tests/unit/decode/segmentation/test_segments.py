@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.ndimage import binary_opening
@@ -26,6 +28,8 @@ from metafab.decode.segmentation.segments import (
 LABEL = np.ones((60, 80), dtype=np.int32)
 LABEL[:, :6] = 2
 LABEL[20:50, 30:60] = 3
+#: Frame pixels of a pixel there by which the strip is too wide to be one of the picture's rim.
+COARSE = 8
 
 
 def test_the_mixture_along_an_outline_is_no_segment_of_its_own() -> None:
@@ -81,18 +85,29 @@ def depth(vergence_per_m: float, relative_error: float, slope: tuple[float, floa
 def test_a_strip_joins_what_it_does_not_differ_from(away: float, joins: bool) -> None:
     """By its own standard errors: 1 % here."""
     depths = [depth(3.0, 1e-3), depth(3.0 / (1.0 + 0.01 * away), 0.01), depth(3.8, 1e-3)]
-    np.testing.assert_array_equal(fragment_targets(depths, LABEL), [0, 1, 1 if joins else 2, 3])
+    np.testing.assert_array_equal(fragment_targets(depths, LABEL, COARSE), [0, 1, 1 if joins else 2, 3])
+
+
+@pytest.mark.parametrize(("vergence", "width", "target"), [(3.1, 6, 1), (2.9, 6, 1), (3.3, 6, 2), (3.1, 18, 2)])
+def test_a_strip_along_the_rim_joins_what_is_within_4_per_cent(vergence: float, width: int, target: int) -> None:
+    """30 frame pixels wide at most, here 15 downsampled ones; its stated error and its tilt do not count."""
+    label = np.ones((80, 120), dtype=np.int32)
+    label[:, -width:] = 2
+    label[40, -width - 5 :] = 2  # a spur
+    strip = depth(vergence, 1e-4, (0.0, 1e-3))
+    strip = dataclasses.replace(strip, plane=dataclasses.replace(strip.plane, centre=(40.0, 118.0)))
+    assert fragment_targets([depth(3.0, 1e-4), strip], label, 2).tolist() == [0, 1, target]
 
 
 def test_what_is_not_beside_it_is_no_neighbour() -> None:
     depths = [depth(3.0, 1e-3), depth(3.8, 0.01), depth(3.8, 1e-3)]
-    np.testing.assert_array_equal(fragment_targets(depths, LABEL), [0, 1, 2, 3])
+    np.testing.assert_array_equal(fragment_targets(depths, LABEL, COARSE), [0, 1, 2, 3])
 
 
 def test_halves_stay_apart() -> None:
     label = np.ones((40, 40), dtype=np.int32)
     label[:, 20:] = 2
-    np.testing.assert_array_equal(fragment_targets([depth(3.0, 0.01), depth(3.0, 0.01)], label), [0, 1, 2])
+    np.testing.assert_array_equal(fragment_targets([depth(3.0, 0.01), depth(3.0, 0.01)], label, COARSE), [0, 1, 2])
 
 
 def test_a_tilted_neighbour_is_met_where_the_strip_is() -> None:
@@ -101,7 +116,7 @@ def test_a_tilted_neighbour_is_met_where_the_strip_is() -> None:
     there = float(wall.plane.at(np.array(29.5), np.array(2.5)))
     for vergence, joins in ((there, True), (3.0, False)):
         depths = [wall, depth(vergence, 0.01), depth(3.8, 1e-3)]
-        np.testing.assert_array_equal(fragment_targets(depths, LABEL), [0, 1, 1 if joins else 2, 3])
+        np.testing.assert_array_equal(fragment_targets(depths, LABEL, COARSE), [0, 1, 1 if joins else 2, 3])
 
 
 def test_a_strip_of_a_strip_joins_what_that_has_fragment_targets() -> None:
@@ -110,11 +125,11 @@ def test_a_strip_of_a_strip_joins_what_that_has_fragment_targets() -> None:
     label[:4, 4:6] = 2
     label[4:5, :2] = 2
     depths = [depth(3.0, 1e-3), depth(3.0, 0.01), depth(3.8, 1e-3), depth(3.0, 0.02)]
-    assert fragment_targets(depths, label).tolist() == [0, 1, 1, 3, 1]
+    assert fragment_targets(depths, label, COARSE).tolist() == [0, 1, 1, 3, 1]
 
 
 def test_nothing_joins_nothing() -> None:
-    assert fragment_targets([], np.zeros((5, 5), dtype=np.int32)).tolist() == [0]
+    assert fragment_targets([], np.zeros((5, 5), dtype=np.int32), COARSE).tolist() == [0]
 
 
 def test_pixels_along_a_straight_line_are_no_independent_samples() -> None:
