@@ -23,6 +23,7 @@ from metafab.core.errors import noted
 from metafab.core.numeric.ahead import compiling_ahead
 from metafab.core.parallel.beside import Beside, begin_beside
 from metafab.core.parallel.measure import Cost, measured
+from metafab.core.parallel.memory import give_back_freed_memory
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, plain, whole_file, write_json
 from metafab.core.storage.lock import alone_in
@@ -317,9 +318,10 @@ def _marks(paths: Mapping[str, Path]) -> dict[str, FileMark]:
 
 
 def _cost_of(step: Step, job: Job) -> tuple[Any, Cost]:
-    """Run a step; return its figures and its cost."""
+    """Run a step; return its figures and its cost. The memory that it leaves behind is not held during the next one."""
     with measured() as cost:
         figures = step.work(job)
+    give_back_freed_memory()
     return figures, cost
 
 

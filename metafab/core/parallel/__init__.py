@@ -9,4 +9,5 @@
 - ``interrupts``  Ctrl-C and SIGTERM
 - ``progress``    the progress callback
 - ``measure``     time and memory of a block
+- ``memory``      freed memory, kept or given back
 """

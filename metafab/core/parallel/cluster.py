@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 import logging
 import pickle
-import sys
 import threading
 import time
 from collections import deque
@@ -13,11 +11,12 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError, Executor, Future
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from itertools import islice
 from typing import Any, Generic, TypeVar, cast
 
 from metafab.core.errors import ClusterLostError, InputError, MissingToolError
+from metafab.core.parallel.memory import keep_freed_memory
 from metafab.core.parallel.progress import Progress, silent
 
 Item = TypeVar("Item")
@@ -26,9 +25,6 @@ Result = TypeVar("Result")
 #: Wanted time (s) and size (bytes) of one call, which set the number of its items. Dask spends 15 ms of processor time
 #: on a call, on client, scheduler and worker: as much as a tile of a mask takes.
 _CALL_S, _CALL_BYTES = 0.2, 8e6
-#: Bytes by option of glibc's ``mallopt``: free memory beyond which it goes back to the system (M_TRIM_THRESHOLD, -1),
-#: and blocks that are mapped separately (M_MMAP_THRESHOLD, -3).
-_MALLOC_BYTES = {-1: 1 << 26, -3: 1 << 25}
 #: Time without any worker after which a warning is logged (s).
 PATIENCE_S = 30.0
 #: Time between two looks at the number of workers (s).
@@ -94,21 +90,8 @@ def _same(function: Callable[[Item], Result]) -> Callable[[Item], Result]:
 
 
 def _call(function: Callable[[Item], Result], item: Item) -> Result:
-    _keep_freed_memory()
+    keep_freed_memory()
     return function(item)
-
-
-@cache
-def _keep_freed_memory() -> None:
-    """Let the memory of freed arrays stay with this worker, for the next item.
-
-    Dask starts its workers with ``MALLOC_TRIM_THRESHOLD_`` at 64 kB: every array goes back to the system, and page
-    faults take a third of the time of a tile.
-    """
-    set_option = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    if set_option is not None:  # glibc
-        for option, threshold in _MALLOC_BYTES.items():
-            set_option(option, threshold)
 
 
 @dataclass(frozen=True)

@@ -103,10 +103,12 @@ class LayerOptics:
             np.exp(-2j * np.pi * k[:, None] * (np.arange(n) - n // 2 + step * (size // 2))).astype(np.complex64)
             for k, n in ((ky, stack.shape[-2]), (kx, stack.shape[-1]))
         )
-        low = along_y @ (stack @ along_x.T)
-        low[..., size // 2, :] = 0.0
-        low[..., -1] = 0.0
-        kernels = scipy.fft.irfft2(low, (size, size)).astype(np.float32)
+        kernels = np.empty((*stack.shape[:3], size, size), dtype=np.float32)
+        for place in np.ndindex(stack.shape[:2]):  # one depth at a time, for its memory
+            low = along_y @ (stack[place] @ along_x.T)
+            low[..., size // 2, :] = 0.0
+            low[..., -1] = 0.0
+            kernels[place] = scipy.fft.irfft2(low, (size, size), overwrite_x=True)
         core = _CORE_PX / step
         tiling = Tiling.over(downsampling.shape, downsampling.margin, (core, core))
         # A tile of a small window may be smaller than the kernels.
