@@ -17,6 +17,7 @@ from metafab.decode.confidence import LEAST_RIGHT, RIGHT_WITHIN, confidence, sam
 from metafab.decode.image import Image4D
 from metafab.decode.images.contrast import SegmentLight, pixel_contrast
 from metafab.decode.images.deconvolution import SharpImages
+from metafab.decode.images.pixel_outlines import on_pixels
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
@@ -186,9 +187,8 @@ def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int
     trust = np.where(known, confidence(pixel_error, segment_error, right), 0.0)
     depth_m = np.where(known, 1.0 / vergence, np.nan)
     own = full_depth_m(replace(pixels, claimed=claimed), step, shape)
-    return DepthMaps(
-        repeated(regions.grown, step, shape), repeated(depth_m, step, shape), repeated(trust, step, shape), own
-    )
+    brought = on_pixels(regions.grown, step, shape)
+    return DepthMaps(brought(regions.grown), brought(depth_m), brought(trust), own)
 
 
 def empty(shape: tuple[int, ...], frame: RawFrame, reason: str, grid: TwinGrid | None = None) -> Image4D:

@@ -11,7 +11,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import spread
 
-Value = TypeVar("Value", np.bool_, np.float32)
+Value = TypeVar("Value", np.bool_, np.int32, np.float32)
 
 #: Number of pictures that are summed at once: additions to a single sum wait for one another.
 _PICTURES_AT_ONCE = 4

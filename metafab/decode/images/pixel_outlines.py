@@ -1,0 +1,126 @@
+"""Outlines on the frame's pixels, from segments on downsampled ones.
+
+A downsampled pixel is in one segment, so that its pixels would follow outlines in steps of its side. An outline is
+placed between them: of the segments about a pixel, the one whose downsampled pixels weigh most under a Gaussian has it.
+What is thinner than three downsampled pixels, as a bar, keeps its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from metafab.core.conventions import FloatArray
+from metafab.core.numeric.compiled import compiled
+from metafab.core.parallel.executor import spread
+from metafab.decode.matching.pooling import window_maxima
+from metafab.decode.registration.downsampling import repeated
+
+#: Standard deviation of the Gaussian, and its reach, downsampled pixels. From 1.1 to 1.6 natural scenes are 3 to 4 %
+#: less off, an edge 10 to 20 % (three and two frames).
+_DEVIATION, _REACH = 1.3, 2
+
+
+def on_pixels(label: NDArray[np.int32], step: int, shape: tuple[int, int]) -> Callable[[NDArray[Any]], NDArray[Any]]:
+    """A function that brings values of downsampled pixels, shape (m_y, m_x), to the frame's pixels, shape ``shape``.
+
+    Each takes the value of the nearest downsampled pixel of its segment. ``label``, shape (m_y, m_x), holds the numbers
+    of the segments, from 0 for none, and ``step`` is the frame pixels from one downsampled pixel to the next.
+    """
+    lowest, highest = -window_maxima(-label, 3), window_maxima(label, 3)
+    if step == 1 or (lowest == highest).all():
+        return partial(repeated, step=step, shape=shape)
+    thick = window_maxima(lowest == highest, 3)
+    side = 2 * _REACH + 1
+    mixed = np.ascontiguousarray(thick & (window_maxima(label, side) != -window_maxima(-label, side)))
+    weights = [_weights(n, step, m) for n, m in zip(shape, label.shape, strict=True)]
+    source = np.empty(shape, dtype=np.intp)
+    spread(_write_sources, shape[0], np.ascontiguousarray(label), mixed, step, *weights, source)
+    return lambda values: values.ravel().take(source)
+
+
+def _weights(count: int, step: int, blocks: int) -> FloatArray:
+    """Gaussian weights of the downsampled pixels about each pixel of a line, shape (count, 2 reach + 1)."""
+    place = np.arange(count)
+    nearest = np.minimum((place + step // 2) // step, blocks - 1)
+    away = nearest[:, None] + np.arange(-_REACH, _REACH + 1) - (place / step)[:, None]
+    return np.asarray(np.exp(-0.5 * (away / _DEVIATION) ** 2))
+
+
+@compiled
+def _write_sources(
+    first: int,
+    stop: int,
+    label: NDArray[np.int32],
+    mixed: NDArray[np.bool_],
+    step: int,
+    along_y: FloatArray,
+    along_x: FloatArray,
+    source: NDArray[np.intp],
+) -> None:
+    """Write, for each pixel, the flat index of the nearest downsampled pixel of the segment that weighs most."""
+    n_y, n_x = label.shape
+    side = along_y.shape[1]
+    numbers, sums = np.empty(side * side, dtype=np.int32), np.empty(side * side)
+    for y in range(first, stop):
+        row = min((y + step // 2) // step, n_y - 1)
+        for x in range(source.shape[1]):
+            column = min((x + step // 2) // step, n_x - 1)
+            source[y, x] = row * n_x + column
+            if mixed[row, column]:
+                best = _heaviest(label, row, column, along_y[y], along_x[x], numbers, sums)
+                if best != label[row, column]:
+                    source[y, x] = _nearest(label, row, column, along_y[y], along_x[x], best)
+
+
+@compiled
+def _heaviest(
+    label: NDArray[np.int32],
+    row: int,
+    column: int,
+    along_y: FloatArray,
+    along_x: FloatArray,
+    numbers: NDArray[np.int32],
+    sums: FloatArray,
+) -> int:
+    """Number of the segment that weighs most about a downsampled pixel; its own wins ties.
+
+    The last two arguments are scratch.
+    """
+    n_y, n_x = label.shape
+    reach, count = along_y.size // 2, 1
+    numbers[0], sums[0] = label[row, column], 0.0
+    for j in range(along_y.size):
+        for i in range(along_x.size):
+            number = label[min(max(row + j - reach, 0), n_y - 1), min(max(column + i - reach, 0), n_x - 1)]
+            k = 0
+            while k < count and numbers[k] != number:
+                k += 1
+            if k == count:
+                numbers[k], sums[k] = number, 0.0
+                count += 1
+            sums[k] += along_y[j] * along_x[i]
+    best = 0
+    for k in range(1, count):
+        if sums[k] > sums[best] * (1.0 + 1e-9):
+            best = k
+    return int(numbers[best])
+
+
+@compiled
+def _nearest(
+    label: NDArray[np.int32], row: int, column: int, along_y: FloatArray, along_x: FloatArray, number: int
+) -> int:
+    """Flat index of the pixel of a segment that weighs most about a downsampled pixel."""
+    n_y, n_x = label.shape
+    reach, largest, at = along_y.size // 2, -1.0, 0
+    for j in range(max(0, reach - row), min(along_y.size, n_y + reach - row)):
+        for i in range(max(0, reach - column), min(along_x.size, n_x + reach - column)):
+            weight, place = along_y[j] * along_x[i], (row + j - reach) * n_x + column + i - reach
+            if weight > largest and label[row + j - reach, column + i - reach] == number:
+                largest, at = weight, place
+    return at
