@@ -65,7 +65,8 @@ def same_side(vergence_per_m: FloatArray, step: int) -> FloatArray:
 
     A downsampled pixel belongs to the side of most of its frame pixels, so that the outline lies anywhere within half a
     downsampled pixel of the border between two. The mean share across it is 1/8, or (1 - 1 / step^2) / 8 for an odd
-    ``step``, where a pixel lies in the middle.
+    ``step``, where a pixel lies in the middle. Outlines on the frame's pixels run between downsampled ones
+    (:mod:`metafab.decode.images.pixel_outlines`), which leaves four fifths of it in scenes of six objects.
 
     Args:
         vergence_per_m: shape (n_y, n_x), 1/depth of each downsampled pixel's segment; NaN for none.
