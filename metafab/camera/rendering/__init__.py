@@ -7,5 +7,6 @@
 - ``motion``     a moving scene -> the scene at one time; rows of the sensor -> their exposures
 - ``windows``    rectangles of the sensor on which the two images lie
 - ``blur``       convolution of a layer with PSFs that vary over the field
+- ``depth_blur`` convolution of a surface whose depth changes from pixel to pixel
 - ``lens``       both images of a scene, from far to near
 """

@@ -10,8 +10,9 @@ import numpy as np
 
 from metafab.camera.kernels import PairKernels
 from metafab.camera.rendering.blur import FieldBlur
+from metafab.camera.rendering.depth_blur import DepthBlur
 from metafab.camera.rendering.occlusion import Occluder, hidden_region, padded, shifted, visible_piece, visible_share
-from metafab.camera.rendering.picture import DepthPicture, pieces
+from metafab.camera.rendering.picture import DepthPicture, surfaces
 from metafab.camera.rendering.render import Piece, Renderer, extent
 from metafab.camera.rendering.windows import Window, shifts_px_m
 from metafab.core.conventions import FloatArray
@@ -142,9 +143,10 @@ class Lens:
         window = self.windows[polarisation]
         directions = (window.tangent_x, window.tangent_y)
         channel = self._channel(polarisation)
-        for surface in pieces(picture, *directions, self.kernels.psf.depth_m, self._shifts(window), channel):
-            rows, columns, image = self._blurred(surface, polarisation)
-            light[rows, columns] += image
+        blur = DepthBlur.of(self.kernels, polarisation)
+        for surface in surfaces(picture, *directions, self.kernels.psf.depth_m, self._shifts(window), channel):
+            image = blur(surface.brightness * window.gain * window.stop, surface.vergence_per_m, *directions)
+            light[: image.shape[0], : image.shape[1]] += image
 
     def _shifts(self, window: Window) -> FloatArray:
         pair = self.kernels.relative_to or self.kernels.psf

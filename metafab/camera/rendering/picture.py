@@ -1,8 +1,7 @@
 """A picture with its depth (RGB-D) as surfaces: continuous depths, holes, and what geometry hides at outlines.
 
-The blur between calibrated depths is a sum over them with the weights of a cubic spline in vergence. The light of each
-pixel is therefore shared among as many layers as the calibration has depths, with no error beyond the calibration's.
-Behind an outline, the farther surface keeps its depth and light at the outline, as far as any aperture point sees it.
+Each pixel is blurred at its own depth (:mod:`metafab.camera.rendering.depth_blur`). Behind an outline, the farther
+surface keeps its depth and light at the outline, as far as any aperture point sees it.
 """
 
 from __future__ import annotations
@@ -14,18 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 
-from metafab.camera.rendering.render import Piece
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled
-from metafab.core.numeric.interpolation import spline_weights
+from metafab.core.parallel.executor import kept_threads, spread
 from metafab.core.storage.pictures import read_grey
 from metafab.spec.scene import Scene
 
 #: Smallest brightness relative to the picture's mean: no surface is blacker.
 _DARKEST = 0.02
-#: Smallest weight of a layer that is blurred.
-_LEAST_WEIGHT = 1e-5
 #: Least jump of depth that is an outline: pixels by which its sides shift against each other, seen from the rim of
 #: the aperture instead of its centre.
 _OUTLINE_PX = 1.0
@@ -82,19 +78,27 @@ class DepthPicture:
         return brightness, map_coordinates(self.depth_m, place, order=0, mode="nearest"), contrast
 
 
-def pieces(
+@dataclass(frozen=True)
+class Surface:
+    """A surface of continuous depth on a pixel grid, before any blur."""
+
+    brightness: FloatArray  #: Shape (n_y, n_x), light that the aperture sees; 0 where the surface is not.
+    vergence_per_m: FloatArray  #: Shape (n_y, n_x), 1/depth; any value where there is no light.
+
+
+def surfaces(
     picture: DepthPicture,
     tangent_x: FloatArray,
     tangent_y: FloatArray,
-    layers_m: FloatArray,
+    calibrated_m: FloatArray,
     shifts_px_m: FloatArray,
     polarisation: int,
-) -> Iterator[Piece]:
+) -> Iterator[Surface]:
     """Yield the surfaces that the aperture sees: that of the picture, and its continuation behind outlines.
 
     Args:
         tangent_x: shape (n_y, n_x), x/z of the grid's directions; likewise ``tangent_y``.
-        layers_m: shape (n,), calibrated depths; InputError for depths outside of them.
+        calibrated_m: shape (n,), calibrated depths; InputError for depths outside of them.
         shifts_px_m: shape (n, 2), shift (columns, rows) of outlines by each aperture point, pixels per 1/m.
         polarisation: 0 for x, 1 for y.
     """
@@ -103,21 +107,20 @@ def pieces(
     known = np.isfinite(depth_m)
     if not known.any():
         return
-    near, far = layers_m.min() * (1.0 - 1e-9), layers_m.max() * (1.0 + 1e-9)
+    near, far = calibrated_m.min() * (1.0 - 1e-9), calibrated_m.max() * (1.0 + 1e-9)
     if depth_m[known].min() < near or depth_m[known].max() > far:
         got = f"{depth_m[known].min():g} to {depth_m[known].max():g} m"
-        expected = f"depths inside the PSF calibration, {layers_m.min():g} to {layers_m.max():g} m"
+        expected = f"depths inside the PSF calibration, {calibrated_m.min():g} to {calibrated_m.max():g} m"
         raise InputError.single("scene", "rgbd.depth_file", expected, got, "scale them by `depth_range_m`")
     # Holes hide nothing and have no light: they count as infinitely far.
     vergence = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0)
     reach = float(np.abs(shifts_px_m).max())
-    yield _piece(light, vergence, known, layers_m, _open_share(vergence, vergence, known, shifts_px_m))
+    yield Surface(light * known * _open_share(vergence, vergence, known, shifts_px_m), vergence)
     if reach == 0.0:
         return
     behind, behind_light, hidden = _behind(vergence, light, known, reach)
     if hidden.any():
-        share = _open_share(vergence, behind, hidden, shifts_px_m)
-        yield _piece(behind_light, behind, hidden, layers_m, share)
+        yield Surface(behind_light * hidden * _open_share(vergence, behind, hidden, shifts_px_m), behind)
 
 
 def _jump(reach_px_m: float) -> float:
@@ -137,18 +140,6 @@ def _behind(
     return behind, behind_light, np.logical_and(known, vergence - behind > _jump(reach_px_m))
 
 
-def _piece(
-    light: FloatArray, vergence: FloatArray, covered: NDArray[np.bool_], layers_m: FloatArray, share: FloatArray
-) -> Piece:
-    n_y, n_x = light.shape
-    layers = 1.0 / layers_m
-    weights = np.zeros((layers.size, n_y, n_x))
-    weights[:, covered] = spline_weights(layers, vergence[covered]).T
-    weights[np.abs(weights) < _LEAST_WEIGHT] = 0.0
-    coverage = weights * covered
-    return Piece(1, layers_m, slice(0, n_y), slice(0, n_x), coverage, coverage * (light * share), (1.0, 1.0))
-
-
 def _open_share(
     vergence: FloatArray, start: FloatArray, asked: NDArray[np.bool_], shifts_px_m: FloatArray
 ) -> FloatArray:
@@ -159,28 +150,33 @@ def _open_share(
     share = np.ones(vergence.shape)
     rows, columns = np.nonzero(np.logical_and(asked, nearer))
     if reach > 0.0 and rows.size:
-        share[rows, columns] = _march(vergence, start[rows, columns], rows, columns, shifts_px_m, jump)
+        open_share = np.zeros(rows.size)
+        with kept_threads():
+            spread(_march, rows.size, vergence, start[rows, columns], rows, columns, shifts_px_m, jump, open_share)
+        share[rows, columns] = open_share
     return share
 
 
 @compiled
 def _march(
+    first: int,
+    stop: int,
     vergence: FloatArray,
     start: FloatArray,
     rows: NDArray[np.intp],
     columns: NDArray[np.intp],
     points: FloatArray,
     jump: float,
-) -> FloatArray:
-    """Share of the rays to the aperture points that meet no surface: shape of ``rows``.
+    share: FloatArray,
+) -> None:
+    """Write the share of the rays to the aperture points that meet no surface: shape of ``rows``.
 
     A ray is followed in steps of half a pixel from vergence ``start`` to the nearest surface's. It is stopped where it
     meets a continuous surface from behind, and passes where the surface ends in a jump.
     """
     n_y, n_x = vergence.shape
     highest = vergence.max()
-    share = np.zeros(rows.size)
-    for index in range(rows.size):
+    for index in range(first, stop):
         for point in range(points.shape[0]):
             x_px, y_px = points[point, 0], points[point, 1]
             length = np.hypot(x_px, y_px) * (highest - start[index])
@@ -201,9 +197,7 @@ def _march(
                 below, last = is_below, here
             if below:
                 is_open = 0.0
-            share[index] += is_open
-    share /= points.shape[0]
-    return share
+            share[index] += is_open / points.shape[0]
 
 
 def _averaged(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
