@@ -1,4 +1,4 @@
-"""Semi-global matching: levels of all pixels that minimise costs plus prices of changes from pixel to pixel.
+"""Semi-global matching: costs of the levels of all pixels, plus prices of changes from pixel to pixel.
 
 Costs are summed along eight directions, with a price for each change of level that does not rise for jumps beyond two
 levels (Hirschmueller, IEEE Trans. Pattern Anal. Mach. Intell. 30, 328, 2008).
@@ -13,8 +13,10 @@ from metafab.core.numeric.compiled import compiled, inlined
 from metafab.core.parallel.executor import spread
 
 
-def cheapest_levels(cost: NDArray[np.float32], change: float, jump: float) -> NDArray[np.intp]:
-    """Level of each pixel, shape (n_y, n_x).
+def summed_costs(cost: NDArray[np.float32], change: float, jump: float) -> NDArray[np.float32]:
+    """Least cost of each pixel's levels along paths to it from all sides: shape (n_y, n_x, n_levels).
+
+    The cheapest level of each pixel is that of the surface.
 
     Args:
         cost: shape (n_y, n_x, n_levels), cost of each level.
@@ -23,7 +25,7 @@ def cheapest_levels(cost: NDArray[np.float32], change: float, jump: float) -> ND
     """
     totals = np.zeros((2, *cost.shape), dtype=np.float32)
     spread(_sweeps, 2, np.ascontiguousarray(cost, dtype=np.float32), np.float32(change), np.float32(jump), totals)
-    return np.asarray(totals.sum(axis=0).argmin(axis=-1))
+    return np.asarray(totals.sum(axis=0))
 
 
 @inlined
