@@ -4,7 +4,8 @@ The log odds of a wrong depth are linear in what is left of the twins, in the di
 reaches across it, and in what another depth would cost. No model of layers tells which side of an outline a pixel lies
 on, so that these pixels are doubted as a whole. The weights were fitted by maximum likelihood to the pixels of three
 pictures with their depth, each with the same weight: the Middlebury motorcycle with its depth by the inverse of its
-disparity, the same mirrored with its metric depth, and steep and curved surfaces with other textures.
+disparity, the same mirrored with its metric depth, and steep and curved surfaces with other textures. The odds are a
+third higher than fitted: pictures that a fit leaves out are wrong that much more often above a probability of 0.9.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from metafab.decode.segmentation.continuous.surface import Surface
 
 #: Weights of 1, of the misfit of the window about the pixel and of the best window that holds it, of the nearness of an
 #: outline within 8 and within 20 pixels, of the latter times the misfit, and of the logarithm of 1 and the margin.
-_WEIGHTS = (-2.39, 0.93, 0.41, 2.09, 2.23, -1.41, -0.69)
+_WEIGHTS = (-1.10, 0.86, 0.42, 2.99, 0.86, -1.49, -1.05)
 _NEAR_PX, _FAR_PX = 8.0, 20.0
 
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 from metafab.decode.segmentation.fit import explains_better
 from metafab.decode.segmentation.regions import find_regions
 from metafab.decode.segmentation.segments import Regions
-from tests.physics.decode.segmentation.conftest import Matched
+from tests.steep_ground import matched, photographed
 
 
-def test_as_many_segments_explain_better_only_by_depths_that_differ(matched: Matched) -> None:
-    prepared, volume, pixels = matched
+def test_as_many_segments_explain_better_only_by_depths_that_differ() -> None:
+    prepared, volume, pixels = matched(*photographed())
     regions = replace(find_regions(prepared, volume, pixels), surface_per_m=None)  # planes alone
 
     def farther(share: float) -> Regions:
