@@ -109,8 +109,9 @@ def track(
         right[part][affected] = later[inside][affected]
     surface = last.surface_per_m
     if surface is not None:
+        new = current.vergence_per_m(current.grown)[inside]
         surface = surface.copy()
-        surface[part][affected] = current.vergence_per_m(current.grown)[inside][affected]
+        surface[part] = np.where(affected & np.isfinite(new), new, surface[part])
     label, interior, grown = labels
     tracked = tuple(one for one in depths if one is not None)
     regions = Regions(last.layers, tracked, label, interior, grown, right, surface)

@@ -22,6 +22,8 @@ from metafab.decode.segmentation.continuous.surface import Surface
 #: outline within 8 and within 20 pixels, of the latter times the misfit, and of the logarithm of 1 and the margin.
 _WEIGHTS = (-1.10, 0.86, 0.42, 2.99, 0.86, -1.49, -1.05)
 _NEAR_PX, _FAR_PX = 8.0, 20.0
+#: Largest probability of a plain pixel, which may be another surface than what is around it: none is sure.
+_PLAIN_RIGHT = 0.85
 
 
 def right_depth(surface: Surface, step: int) -> FloatArray:
@@ -29,7 +31,8 @@ def right_depth(surface: Surface, step: int) -> FloatArray:
 
     ``step`` is the frame pixels from one downsampled pixel to the next.
     """
-    return np.asarray(expit(-(doubts(surface, step) @ np.array(_WEIGHTS))))
+    right = expit(-(doubts(surface, step) @ np.array(_WEIGHTS)))
+    return np.asarray(np.where(surface.plain, np.minimum(right, _PLAIN_RIGHT), right))
 
 
 def doubts(surface: Surface, step: int) -> FloatArray:

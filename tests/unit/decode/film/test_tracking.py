@@ -68,10 +68,13 @@ def test_pixels_of_a_continuous_surface_keep_their_depth_where_nothing_changed()
     found = now((slice(12, 22), slice(14, 19)), Plane(2.6), Plane(2.03))
     changed = np.zeros_like(ALL)
     changed[5:] = True
+    found.grown[20] = 0  # row 25 of the window: no depth now, but a place at which it is made sharp
     tracked = track(last, found, PART, ABOUT, changed, STEP_PER_M).regions
     new = np.zeros(SHAPE, dtype=bool)
     new[PART] = changed
-    depth = tracked.vergence_per_m(tracked.grown)
+    new[25] = False
+    assert tracked.surface_per_m is not None and np.isnan(tracked.vergence_per_m(tracked.grown)[25, 20:40]).all()
+    depth = tracked.surface_per_m
     np.testing.assert_array_equal(depth[~new], surface[~new])
     np.testing.assert_array_equal(depth[new], np.where(now_car(), 2.6, 2.03)[new])
 

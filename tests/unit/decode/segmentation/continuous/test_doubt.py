@@ -16,7 +16,8 @@ COLUMN = np.broadcast_to(np.arange(60), SHAPE)
 def surface(near_per_m: float) -> Surface:
     """Two sides of an outline between columns 29 and 30, one of 2 / m, that the twins fit to their noise."""
     none = np.zeros(SHAPE, dtype=np.float32)
-    return Surface(np.where(COLUMN < 30, near_per_m, 2.0), none, none, np.full(SHAPE, 10.0, dtype=np.float32))
+    vergence, margin = np.where(COLUMN < 30, near_per_m, 2.0), np.full(SHAPE, 10.0, dtype=np.float32)
+    return Surface(vergence, none, none, margin, np.zeros(SHAPE, dtype=bool))
 
 
 def test_pixels_near_an_outline_are_doubted() -> None:
@@ -43,3 +44,11 @@ def test_misfit_and_another_depth_of_equal_cost_raise_doubt() -> None:
         assert (right_depth(doubtful, 3) < clear).all()
     hopeless = replace(seen, misfit=seen.misfit + 3.0, best_misfit=seen.best_misfit + 3.0, margin=0.0 * seen.margin)
     assert (right_depth(hopeless, 3) < 0.25).all()
+
+
+def test_no_plain_pixel_is_sure() -> None:
+    seen = surface(2.0)
+    right = right_depth(replace(seen, plain=COLUMN < 10), 3)
+    assert (right[:, :10] < 0.9).all() and (right[:, 10:] > 0.9).all()
+    hopeless = replace(seen, misfit=seen.misfit + 5.0)
+    np.testing.assert_array_equal(right_depth(replace(hopeless, plain=COLUMN < 10), 3), right_depth(hopeless, 3))
