@@ -29,7 +29,7 @@ _LEVELS = 4
 #: vanishes in the wall behind it; with 0.25, levels follow noise (Middlebury motorcycle 2.9 % off, not 2.8 %).
 _CHANGE, _JUMP = 0.4, 6.5
 #: Price of a jump where the light is even, share of it that is left at edges, and change of the light's logarithm from
-#: one pixel to the next at which it has fallen to 1/e. Half or 1.5 times as much of any changes errors by 1 %.
+#: one pixel to the next at which it has fallen to 1/e. Half or 1.5 times as much of any changes errors by 1 to 2 %.
 _EVEN_JUMP, _EDGE_SHARE, _EDGE = 10.0, 0.1, 0.2
 #: Energy of the texture, in variances of the noise of one image, at which a pixel counts by half: noise alone tells no
 #: depths. Without, a plain part of a frame of 500 electrons takes the farthest depth (6.1 in place of 2.8 % off).
@@ -51,9 +51,8 @@ class Surface:
     best_misfit: NDArray[np.float32]  #: Shape (n_y, n_x), its least in the windows that hold the pixel.
     #: Shape (n_y, n_x), summed cost of the best depth that is not within 5 %, less that of the best one within.
     margin: NDArray[np.float32]
-    plain: NDArray[
-        np.bool_
-    ]  #: Shape (n_y, n_x), whether noise outweighs the texture: the depth is that of what is around.
+    #: Shape (n_y, n_x), whether noise outweighs the texture, so that the depth is that of what is around.
+    plain: NDArray[np.bool_]
 
 
 def matched_surface(
