@@ -60,6 +60,16 @@ def differs(vergence_per_m: FloatArray, other_per_m: FloatArray) -> NDArray[np.b
     return np.asarray(np.abs(vergence_per_m - other_per_m) > RIGHT_WITHIN * vergence_per_m)
 
 
+def beside_outlines(vergence_per_m: FloatArray) -> NDArray[np.bool_]:
+    """Pixels beside one whose depth would be wrong for them, for 1/depths of shape (n_y, n_x): the same shape."""
+    beside = np.zeros(vergence_per_m.shape, dtype=bool)
+    for one, other in (((slice(1, None),), (slice(None, -1),)), ((..., slice(1, None)), (..., slice(None, -1)))):
+        unlike = differs(vergence_per_m[one], vergence_per_m[other])
+        beside[one] |= unlike
+        beside[other] |= unlike
+    return beside
+
+
 def same_side(vergence_per_m: FloatArray, step: int) -> FloatArray:
     """Probability that a frame pixel lies on its downsampled pixel's side of an outline: shape (n_y, n_x).
 
@@ -72,13 +82,8 @@ def same_side(vergence_per_m: FloatArray, step: int) -> FloatArray:
         vergence_per_m: shape (n_y, n_x), 1/depth of each downsampled pixel's segment; NaN for none.
         step: frame pixels from one downsampled pixel to the next.
     """
-    beside = np.zeros(vergence_per_m.shape, dtype=bool)
-    for one, other in (((slice(1, None),), (slice(None, -1),)), ((..., slice(1, None)), (..., slice(None, -1)))):
-        unlike = differs(vergence_per_m[one], vergence_per_m[other])
-        beside[one] |= unlike
-        beside[other] |= unlike
     across = (1.0 - step % 2 / step**2) / 8.0
-    return np.where(beside, 1.0 - across, 1.0)
+    return np.where(beside_outlines(vergence_per_m), 1.0 - across, 1.0)
 
 
 def confidence(pixel_error: FloatArray, segment_error: FloatArray, right: FloatArray | float) -> FloatArray:

@@ -21,6 +21,7 @@ from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages, TileSpectra
 from metafab.decode.images.light_outlines import outlines_at_edges
 from metafab.decode.images.shortest_outlines import shortest_outlines
+from metafab.decode.images.surface_edges import surface_at_edges
 from metafab.decode.images.unmixing import Unmixing
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
@@ -238,6 +239,7 @@ class Decoder:
         sharp = self.deconvolver(tiles, prepared.levels, *depths, prepared.twins.broken)
         # Moved outlines leave the sharp images: deconvolved again at the new depths, they would be 0.3 dB worse.
         lit = lit_pixels(prepared, sharp)
+        regions = surface_at_edges(regions, prepared, volume, sharp)
         regions = moved_outlines(regions, sharp, step, lit)
         if self.numerics.refined and self.numerics.modelled:
             regions = outlines_at_edges(regions, prepared, sharp, self.layer_optics, step)

@@ -107,8 +107,14 @@ def track(
     right = None if earlier is None or later is None else earlier.copy()
     if right is not None and later is not None:
         right[part][affected] = later[inside][affected]
+    surface = last.surface_per_m
+    if surface is not None:
+        new = current.vergence_per_m(current.grown)[inside]
+        surface = surface.copy()
+        surface[part] = np.where(affected & np.isfinite(new), new, surface[part])
     label, interior, grown = labels
-    regions = Regions(last.layers, tuple(one for one in depths if one is not None), label, interior, grown, right)
+    tracked = tuple(one for one in depths if one is not None)
+    regions = Regions(last.layers, tracked, label, interior, grown, right, surface)
     return TrackedRegions(regions, np.append(0, np.where(stays, renumbered[1 : count + 1], 0)).astype(np.int32))
 
 

@@ -175,7 +175,9 @@ class DepthMaps:
 def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int, int]) -> DepthMaps:
     """Segments, depths and confidence on the frame's pixels, shape (n_y, n_x), ``step`` to a downsampled one."""
     claimed = pixels.claimed & (regions.grown > 0)
-    known = (regions.grown > 0) & ((distance(claimed) <= WINDOW_PX / step) | regions.of_outline[regions.grown])
+    known = regions.grown > 0
+    if not regions.continuous:
+        known &= (distance(claimed) <= WINDOW_PX / step) | regions.of_outline[regions.grown]
     segment_error = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])[regions.grown]
     vergence = regions.vergence_per_m(regions.grown)
     right = np.ones(vergence.shape) if regions.right is None else regions.right

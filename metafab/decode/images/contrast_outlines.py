@@ -92,6 +92,7 @@ def moved_outlines(
         interior=np.where(moved > 0, 0, regions.interior).astype(np.int32),
         grown=number.astype(np.int32),
         right=right,
+        surface_per_m=regions.surface_of(number.astype(np.int32)),
     )
 
 

@@ -8,6 +8,6 @@
 - ``mixing``          products of the filtered twins, mixed block by block from the basis
 - ``cost_volume``     CostVolume: products of the twins over place and candidate depth, and their correlation
 - ``pooling``         means over windows, sums over labels
-- ``semi_global``     levels of all pixels of least cost, changes from pixel to pixel included
+- ``semi_global``     costs of the levels of all pixels, changes from pixel to pixel included
 - ``depth``           CostVolume -> PixelDepth: parabolic peak of the correlation, with its standard error
 """

@@ -1,4 +1,4 @@
-"""Semi-global matching: levels of all pixels that minimise costs plus prices of changes from pixel to pixel.
+"""Semi-global matching: costs of the levels of all pixels, plus prices of changes from pixel to pixel.
 
 Costs are summed along eight directions, with a price for each change of level that does not rise for jumps beyond two
 levels (Hirschmueller, IEEE Trans. Pattern Anal. Mach. Intell. 30, 328, 2008).
@@ -13,17 +13,21 @@ from metafab.core.numeric.compiled import compiled, inlined
 from metafab.core.parallel.executor import spread
 
 
-def cheapest_levels(cost: NDArray[np.float32], change: float, jump: float) -> NDArray[np.intp]:
-    """Level of each pixel, shape (n_y, n_x).
+def summed_costs(cost: NDArray[np.float32], change: float, jump: float | NDArray[np.float32]) -> NDArray[np.float32]:
+    """Least cost of each pixel's levels along paths to it from all sides: shape (n_y, n_x, n_levels).
+
+    The cheapest level of each pixel is that of the surface.
 
     Args:
         cost: shape (n_y, n_x, n_levels), cost of each level.
         change: price of a change by one level from a pixel to the next, in the unit of the costs.
-        jump: largest price of a change.
+        jump: largest price of a change: one for all, or from each pixel to the next one along y and along x, shape
+            (2, n_y, n_x). A diagonal step has the lesser one of its two parts.
     """
     totals = np.zeros((2, *cost.shape), dtype=np.float32)
-    spread(_sweeps, 2, np.ascontiguousarray(cost, dtype=np.float32), np.float32(change), np.float32(jump), totals)
-    return np.asarray(totals.sum(axis=0).argmin(axis=-1))
+    jumps = np.ascontiguousarray(np.broadcast_to(jump, (2, *cost.shape[:2])), dtype=np.float32)
+    spread(_sweeps, 2, np.ascontiguousarray(cost, dtype=np.float32), np.float32(change), jumps, totals)
+    return np.asarray(totals.sum(axis=0))
 
 
 @inlined
@@ -58,7 +62,7 @@ def _sweeps(
     stop: int,
     cost: NDArray[np.float32],
     change: np.float32,
-    jump: np.float32,
+    jumps: NDArray[np.float32],
     totals: NDArray[np.float32],
 ) -> None:
     """Sum costs (n_y, n_x, n_levels) along four directions in each sweep, from the first and from the last pixel."""
@@ -68,12 +72,16 @@ def _sweeps(
         last = np.zeros((3, n_x + 2, count), dtype=np.float32)
         for row in range(n_y):
             i = row if sweep == 0 else n_y - 1 - row
+            down = jumps[0, max(i - 1, 0) if sweep == 0 else i]
             here = np.zeros((3, n_x + 2, count), dtype=np.float32)
             beside = np.zeros((2, count), dtype=np.float32)
             for column in range(n_x):
                 j = column if sweep == 0 else n_x - 1 - column
+                left, right = jumps[1, i, max(j - 1, 0)], jumps[1, i, j]
+                behind, ahead = (left, right) if sweep == 0 else (right, left)
                 one, total = cost[i, j], totals[sweep, i, j]
-                _add_path(one, beside[column % 2], change, jump, beside[1 - column % 2], total)
+                _add_path(one, beside[column % 2], change, behind, beside[1 - column % 2], total)
                 for way in range(3):
+                    jump = min(down[j], behind) if way == 0 else down[j] if way == 1 else min(down[j], ahead)
                     _add_path(one, last[way, column + way], change, jump, here[way, column + 1], total)
             last = here

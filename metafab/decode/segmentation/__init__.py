@@ -7,7 +7,8 @@
 - ``tile_shares``     a round of expectation and maximisation: light and shares of the layers in some tiles
 - ``layer_tiles``     the layers of a frame in tiles: where each may hold the light, what hides what, noise
 - ``frame_model``     FrameModel: outlines from a model of the frame with occlusion
-- ``fit``             null energy of the twins by place: whether a segment explains its pixels; continuous surfaces
+- ``fit``             null energy of the twins by place: whether a segment explains its pixels
+- ``continuous``      continuous surfaces: a depth for each pixel, and its doubt
 - ``objects``         objects that the segments of textured pixels miss: small ones, plain ones
 - ``segments``        layers of depth, connected segments, the depth of a segment; Regions: all segments of a frame
 - ``assignment``      pixels assigned to planes: segments and their depths

@@ -13,7 +13,8 @@ from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
-from metafab.decode.segmentation.fit import surface_per_m
+from metafab.decode.segmentation.continuous.doubt import right_depth
+from metafab.decode.segmentation.continuous.surface import matched_surface
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, fit_plane, ransac_planes
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
 from metafab.decode.segmentation.segments import (
@@ -77,22 +78,27 @@ class Segmentation:
         return self.of_layers(planes + [Plane(vergence) for vergence in depths], allowed)
 
     def of_surfaces(self) -> Regions | None:
-        """Segments of the planes across a surface of semi-global matching; None without any, or of too many cells."""
+        """Segments of the planes across a surface of semi-global matching; None without any, or of too many cells.
+
+        Each lit pixel has the surface's own depth, those of plain parts included.
+        """
         prepared, volume, separation = self.prepared, self.volume, self.separation_per_m
         step = prepared.downsampling.step
         cells = Cells.of(volume, self.pixels.claimed & prepared.lit, step, _SURFACE_CELL_PX)
         if cells.row.size > _MOST_SURFACE_CELLS:
             return None
-        surface = surface_per_m(prepared, volume)
+        surface = matched_surface(prepared, volume)
+        vergence = surface.vergence_per_m
         at = np.rint(cells.row).astype(np.intp), np.rint(cells.column).astype(np.intp)
         error = np.full(at[0].shape, 0.1 * separation)
-        cells = replace(cells, vergence_per_m=surface[at], error_per_m=error)
+        cells = replace(cells, vergence_per_m=vergence[at], error_per_m=error)
         side = cell_side(step, _SURFACE_CELL_PX)
         planes = ransac_planes(cells, side, separation, _SURFACE_STEEPEST, _MOST_SURFACES)
         if not planes:
             return None
-        of_surface = replace(self, pixels=replace(self.pixels, vergence_per_m=surface))
-        return replace(of_surface.of_planes(planes), continuous=True)
+        regions = replace(self, pixels=replace(self.pixels, vergence_per_m=vergence)).of_planes(planes)
+        everywhere = np.where(prepared.lit, grown(regions.grown), 0).astype(np.int32)
+        return replace(regions, grown=everywhere, right=right_depth(surface, step), surface_per_m=vergence)
 
     def of_layers(self, layers: list[Plane], allowed: NDArray[np.bool_] | None = None) -> Regions:
         """Segments of layers: connected pixels of one plane, where ``allowed`` (n_layers, n_y, n_x)."""

@@ -24,7 +24,6 @@ from metafab.decode.confidence import RIGHT_WITHIN
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
-from metafab.decode.matching.semi_global import cheapest_levels
 from metafab.decode.segmentation.planes import Plane
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
 from metafab.decode.segmentation.segments import Regions
@@ -43,12 +42,6 @@ OUTLINE_LIGHT_PX = 20
 _SURFACE_WINDOW_PX, _LEAST_MISFIT = 15, 0.2
 #: Difference of two depths of a pixel, in its standard errors, above which they are not the same.
 _CHANGED_ERRORS = 2.5
-#: Levels of vergence of a surface to a candidate depth.
-_LEVELS = 4
-#: Prices of a change by one level and of a jump, in logarithms of the misfit. Half or twice as much of either changes
-#: the mean error of the Middlebury motorcycle by less than a tenth.
-_CHANGE, _JUMP = 0.65, 6.5
-
 #: Rounds of the reweighted fit of a plane to a segment's pixels.
 _REFITS = 3
 #: Square of a pixel's distance from its segment, in standard errors, from which it is an outlier.
@@ -118,6 +111,11 @@ class Misfit:
         return np.asarray((self.over_noise > _FOREIGN) & (self.of_texture > _FOREIGN_SHARE))
 
 
+def surface_window(prepared: PreparedFrame) -> int:
+    """Side of the window over which surfaces are judged, downsampled pixels; odd."""
+    return max(3, _SURFACE_WINDOW_PX // prepared.downsampling.step | 1)
+
+
 def log_misfit(prepared: PreparedFrame, products: NDArray[np.float32], noise_gain: float) -> NDArray[np.float32]:
     """Logarithm of the twins' null energy over what noise explains, for depths that need not be those of segments.
 
@@ -129,8 +127,7 @@ def log_misfit(prepared: PreparedFrame, products: NDArray[np.float32], noise_gai
     Returns:
         Shape (n_y, n_x).
     """
-    window = max(3, _SURFACE_WINDOW_PX // prepared.downsampling.step | 1)
-    energies = TwinEnergies.of(window_means(products, window), prepared, noise_gain)
+    energies = TwinEnergies.of(window_means(products, surface_window(prepared)), prepared, noise_gain)
     return np.asarray(np.log(np.maximum(energies.over_noise(), np.float32(_LEAST_MISFIT))))
 
 
@@ -153,17 +150,6 @@ def explains_better(
         return float(log_misfit(prepared, products, volume.noise_gain)[judged].mean())
 
     return bool(judged.any()) and left(depths[0]) < left(depths[1])
-
-
-def surface_per_m(prepared: PreparedFrame, volume: CostVolume) -> FloatArray:
-    """1/depth of each pixel by semi-global matching: shape (n_y, n_x), in quarters of the candidates' step.
-
-    The surface may be steep: its depth may change within the window, which one depth for a window cannot follow.
-    """
-    nodes = volume.vergences_per_m
-    levels = np.linspace(nodes[0], nodes[-1], _LEVELS * (nodes.size - 1) + 1)
-    costs = [log_misfit(prepared, volume.at(level[None])[:, 0], volume.noise_gain) for level in levels]
-    return np.asarray(levels[cheapest_levels(np.stack(costs, axis=-1), _CHANGE, _JUMP)])
 
 
 def misfit_at(

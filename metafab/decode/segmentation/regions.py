@@ -97,11 +97,13 @@ def find_regions(
         filters: matched filters, for the depth of segments much dimmer than others; without, it is not measured again.
     """
     segments = first_segments(prepared, volume, pixels, known, outline_rounds, refined=refined)
+    if segments.continuous:  # Each pixel has its own depth and probability.
+        return segments
     regions = with_plain_objects(segments, prepared, volume)
     if not (regions.depths and refined):
         return regions
     step, refused = prepared.downsampling.step, np.zeros(regions.grown.shape, dtype=bool)
-    if optics is not None and not regions.continuous:
+    if optics is not None:
         regions, refused = with_bars(regions, prepared, volume, optics)
         regions = with_modelled_outlines(prepared, regions, optics)
     label = regions.grown
@@ -123,14 +125,14 @@ def find_regions(
         if not moving[1:].any():
             break
         own = misfit_of(label)
-    if filters is not None and not regions.continuous:
+    if filters is not None:
         measured = without_bright_light(prepared, filters, regions)
         if measured is not regions:
             regions = measured
             own = misfit_of(label)
     if optics is not None:
         reach = OUTLINE_REACH_PX / step
-        judge = None if regions.continuous else FrameModel(prepared, regions, optics).explained_moves
+        judge = FrameModel(prepared, regions, optics).explained_moves
         owner, own = fitting_segments(label, prepared.spoiled, own, at_segment, reach, judge)
         regions = regions.with_owners(owner)
         label = regions.grown
@@ -140,7 +142,7 @@ def find_regions(
         vergence = regions.vergence_per_m(label)
         # The blur of bars and plain objects is no object of its own.
         searched = unexplained & (distance(regions.of_outline[label]) * step > OUTLINE_LIGHT_PX)
-        found = [] if regions.continuous else small_objects(prepared, optics, vergence, searched, misfit_here)
+        found = small_objects(prepared, optics, vergence, searched, misfit_here)
         misfit_here = misfit_here.copy()
         for one in found:
             misfit_here[one.blob] = np.minimum(misfit_here[one.blob], one.misfit)

@@ -78,7 +78,14 @@ class Regions:
     grown: NDArray[np.int32]  #: Shape (n_y, n_x), ``label`` grown over the pixels along the outlines.
     #: Shape (n_y, n_x), probability that a pixel of ``grown`` is in the right segment; None for certainty.
     right: FloatArray | None = None
-    continuous: bool = False  #: Whether segments are pieces of surfaces, which no model of few layers explains.
+    #: Shape (n_y, n_x), 1/depth of each pixel of ``grown`` where segments are pieces of continuous surfaces, which no
+    #: few planes explain; None where the depth of a pixel is that of its segment.
+    surface_per_m: FloatArray | None = None
+
+    @property
+    def continuous(self) -> bool:
+        """Whether segments are pieces of continuous surfaces."""
+        return self.surface_per_m is not None
 
     @property
     def of_outline(self) -> NDArray[np.bool_]:
@@ -89,9 +96,8 @@ class Regions:
         """The segments in a part of the window, with the same numbers."""
         depths = tuple(replace(one, plane=one.plane.moved(-rows.start, -columns.start)) for one in self.depths)
         part = (rows, columns)
-        right = None if self.right is None else self.right[part]
-        part_of = (self.label[part], self.interior[part], self.grown[part])
-        return Regions(self.layers, depths, *part_of, right, self.continuous)
+        right, surface = (None if one is None else one[part] for one in (self.right, self.surface_per_m))
+        return Regions(self.layers, depths, self.label[part], self.interior[part], self.grown[part], right, surface)
 
     def with_owners(self, owner: NDArray[np.int32]) -> Regions:
         """The same depths with new outlines: ``owner`` is each pixel's segment or none, shape (n_y, n_x).
@@ -106,7 +112,17 @@ class Regions:
             label=np.where(kept, grown_label, 0).astype(np.int32),
             interior=np.where(grown_label == self.interior, self.interior, 0).astype(np.int32),
             grown=grown_label,
+            surface_per_m=self.surface_of(grown_label),
         )
+
+    def surface_of(self, owner: NDArray[np.int32]) -> FloatArray | None:
+        """``surface_per_m`` where pixels belong to the segments ``owner``, shape (n_y, n_x).
+
+        Pixels that change their segment take the plane of their new one.
+        """
+        if self.surface_per_m is None:
+            return None
+        return np.where(owner == self.grown, self.surface_per_m, self._planes_per_m(owner))
 
     def without(self, numbers: Sequence[int]) -> Regions:
         """The other segments, numbered anew; pixels of those left out go to the nearest other segment."""
@@ -126,7 +142,11 @@ class Regions:
         )
 
     def vergence_per_m(self, label: NDArray[np.int32]) -> FloatArray:
-        """1/depth of each pixel's segment, for a label of shape (n_y, n_x): the same shape; NaN for none."""
+        """1/depth of each pixel in the segments ``label``, shape (n_y, n_x): the same shape; NaN for none."""
+        surface = self.surface_of(label)
+        return self._planes_per_m(label) if surface is None else np.where(label > 0, surface, np.nan)
+
+    def _planes_per_m(self, label: NDArray[np.int32]) -> FloatArray:
         vergence = np.array([np.nan, *(depth.vergence_per_m for depth in self.depths)])
         if not any(depth.plane.tilted for depth in self.depths):
             return vergence[label]
@@ -142,8 +162,14 @@ class Regions:
     def bands(self, label: NDArray[np.int32], step_per_m: float) -> tuple[NDArray[np.int32], FloatArray]:
         """Cut tilted segments into bands of one depth, ``step_per_m`` of vergence apart; ``label`` counts from 1.
 
-        Returns the number of each pixel's band from 1, shape (n_y, n_x), and 1/depth of each band, (n_bands,).
+        Bands of continuous surfaces are those of all segments together. Returns the number of each pixel's band from 1,
+        shape (n_y, n_x), and 1/depth of each band, (n_bands,).
         """
+        if self.surface_per_m is not None:
+            lit, bands = label > 0, np.zeros(label.shape, dtype=np.int32)
+            steps, place = np.unique(np.round(self.surface_per_m[lit] / step_per_m), return_inverse=True)
+            bands[lit] = 1 + place
+            return bands, steps * step_per_m
         if not any(depth.plane.tilted for depth in self.depths):
             return label, np.array([depth.vergence_per_m for depth in self.depths])
         vergence, bands = self.vergence_per_m(label), np.zeros(label.shape, dtype=np.int32)

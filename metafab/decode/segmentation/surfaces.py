@@ -27,7 +27,7 @@ _CLEARLY_BETTER = 0.93
 #: Misfit of pixels' depths to planes fitted to their segments from which segments are sought on continuous surfaces:
 #: scenes of flat objects and photographs on them have 1.0 to 2.4, a steep ground 3.1, the Middlebury motorcycle 6.
 _UNFIT = 2.6
-#: Most downsampled pixels of a frame whose continuous surfaces are sought. A pixel takes a kilobyte.
+#: Most downsampled pixels of a frame whose continuous surfaces are sought. A pixel takes 1.2 kilobytes.
 _MOST_SURFACE_PIXELS = 400_000
 #: Share of the claimed pixels that is kept at least without those about saturated or invalid ones.
 _LEAST_UNSPOILED = 0.3
@@ -77,8 +77,8 @@ def first_segments(
     layers become planes, and pixels are assigned to them once more. Where noise tells more layers apart, those replace
     them if the pixels' depths fit clearly better: a staircase lies within the cells' errors of a plane. Segments whose
     pixels lie on a quadric of vergence become one, if there are no more of them and they explain the twins better.
-    Where the pixels' depths fit no planes, segments are pieces of planes across the surface of semi-global matching, if
-    those explain the twins better.
+    Where the pixels' depths fit no planes, pixels have the depth of a continuous surface, and segments are pieces of
+    planes across it, if that explains the twins better.
     """
     segmentation = Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
     if any(plane.tilted for plane in known):

@@ -62,6 +62,30 @@ def test_what_goes_on_keeps_its_depth_and_what_moves_has_its_own() -> None:
     assert number.tolist() == [0, 1, 2, 0]
 
 
+def test_pixels_of_a_continuous_surface_keep_their_depth_where_nothing_changed() -> None:
+    surface = 2.0 + np.random.default_rng(1).random(SHAPE)
+    last = replace(regions(street(), ROAD, Plane(3.0), Plane(2.5)), surface_per_m=surface)
+    found = now((slice(12, 22), slice(14, 19)), Plane(2.6), Plane(2.03))
+    changed = np.zeros_like(ALL)
+    changed[5:] = True
+    found.grown[20] = 0  # row 25 of the window: no depth now, but a place at which it is made sharp
+    tracked = track(last, found, PART, ABOUT, changed, STEP_PER_M).regions
+    new = np.zeros(SHAPE, dtype=bool)
+    new[PART] = changed
+    new[25] = False
+    assert tracked.surface_per_m is not None and np.isnan(tracked.vergence_per_m(tracked.grown)[25, 20:40]).all()
+    depth = tracked.surface_per_m
+    np.testing.assert_array_equal(depth[~new], surface[~new])
+    np.testing.assert_array_equal(depth[new], np.where(now_car(), 2.6, 2.03)[new])
+
+
+def now_car() -> np.ndarray:
+    """Pixels of the car in its new place, in the whole window."""
+    car = np.zeros(SHAPE, dtype=bool)
+    car[17:27, 29:34] = True
+    return car
+
+
 def test_another_depth_beside_the_same_pixels_is_another_segment() -> None:
     last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
     found = now(None, Plane(9.0), Plane(2.2))

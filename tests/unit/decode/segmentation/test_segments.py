@@ -186,3 +186,31 @@ def test_bands_of_a_tilted_segment_hold_its_depth() -> None:
     assert vergence.size == 7  # 0.2 over 40 rows, and the wall
     flat = Regions(1, depths[1:], label, label, label)
     np.testing.assert_array_equal(flat.bands(label, 0.04)[0], label)
+
+
+def test_pixels_of_a_continuous_surface_have_their_own_depth_and_take_the_plane_of_a_new_segment() -> None:
+    surface = 2.0 + np.random.default_rng(1).random(LABEL.shape)
+    planes = [Plane(2.0), Plane(2.5, (0.0, 0.01), (30.0, 3.0)), Plane(3.0)]
+    depths = tuple(SegmentDepth(plane.vergence_per_m, 1e-3, 0.9, 1.0, plane) for plane in planes)
+    regions = Regions(3, depths, LABEL, LABEL, LABEL, surface_per_m=surface)
+    assert regions.continuous and not Regions(3, depths, LABEL, LABEL, LABEL).continuous
+    np.testing.assert_array_equal(regions.vergence_per_m(LABEL), surface)
+    owner = np.where(LABEL == 3, 2, LABEL).astype(np.int32)
+    owner[0] = 0
+    moved = regions.with_owners(owner).vergence_per_m(owner)
+    assert np.isnan(moved[0]).all()
+    np.testing.assert_allclose(moved[LABEL == 3], planes[1].over(LABEL.shape)[LABEL == 3])
+    np.testing.assert_array_equal(moved[1:][LABEL[1:] != 3], surface[1:][LABEL[1:] != 3])
+    part = slice(10, 30), slice(20, 50)
+    np.testing.assert_array_equal(regions.within(*part).vergence_per_m(LABEL[part]), surface[part])
+
+
+def test_bands_of_a_continuous_surface_hold_its_pixels() -> None:
+    surface = 2.0 + np.random.default_rng(1).random(LABEL.shape)
+    flat = tuple(SegmentDepth(v, 1e-3, 0.9, 1.0, Plane(v)) for v in (1.0, 2.0, 3.0))
+    label = np.where(LABEL == 2, 0, LABEL).astype(np.int32)
+    bands, vergences = Regions(3, flat, LABEL, LABEL, LABEL, surface_per_m=surface).bands(label, 0.1)
+    np.testing.assert_array_equal(bands == 0, label == 0)
+    lit = label > 0
+    assert np.abs(vergences[bands[lit] - 1] - surface[lit]).max() <= 0.05 * (1.0 + 1e-9)
+    assert vergences.size <= 12

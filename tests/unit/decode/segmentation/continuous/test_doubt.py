@@ -1,0 +1,54 @@
+"""Probability of a right depth: falls with the misfit, towards outlines, and where another depth costs no more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from metafab.decode.segmentation.continuous.doubt import right_depth
+from metafab.decode.segmentation.continuous.surface import Surface
+
+SHAPE = (40, 60)
+COLUMN = np.broadcast_to(np.arange(60), SHAPE)
+
+
+def surface(near_per_m: float) -> Surface:
+    """Two sides of an outline between columns 29 and 30, one of 2 / m, that the twins fit to their noise."""
+    none = np.zeros(SHAPE, dtype=np.float32)
+    vergence, margin = np.where(COLUMN < 30, near_per_m, 2.0), np.full(SHAPE, 10.0, dtype=np.float32)
+    return Surface(vergence, none, none, margin, np.zeros(SHAPE, dtype=bool))
+
+
+def test_pixels_near_an_outline_are_doubted() -> None:
+    right = right_depth(surface(3.0), 3)
+    assert (np.diff(right[0, :30]) <= 0.0).all() and (np.diff(right[0, 30:]) >= 0.0).all()
+    assert right[0, 29] < 0.5 and right[0, 5] > 0.95
+    # Frame pixels count: an outline is as near to the same pixels sampled more densely.
+    np.testing.assert_allclose(right_depth(surface(3.0), 1)[0, 30:60:3], right[0, 30:40], atol=0.02)
+
+
+def test_an_outline_between_depths_that_are_one_within_5_percent_raises_no_doubt() -> None:
+    right = right_depth(surface(2.08), 3)
+    assert np.ptp(right) == 0.0 and right[0, 0] > 0.95
+
+
+def test_misfit_and_another_depth_of_equal_cost_raise_doubt() -> None:
+    seen = surface(2.0)
+    clear = right_depth(seen, 3)
+    for doubtful in (
+        replace(seen, misfit=seen.misfit + 1.0),
+        replace(seen, best_misfit=seen.best_misfit + 1.0),
+        replace(seen, margin=0.0 * seen.margin),
+    ):
+        assert (right_depth(doubtful, 3) < clear).all()
+    hopeless = replace(seen, misfit=seen.misfit + 3.0, best_misfit=seen.best_misfit + 3.0, margin=0.0 * seen.margin)
+    assert (right_depth(hopeless, 3) < 0.25).all()
+
+
+def test_no_plain_pixel_is_sure() -> None:
+    seen = surface(2.0)
+    right = right_depth(replace(seen, plain=COLUMN < 10), 3)
+    assert (right[:, :10] < 0.9).all() and (right[:, 10:] > 0.9).all()
+    hopeless = replace(seen, misfit=seen.misfit + 5.0)
+    np.testing.assert_array_equal(right_depth(replace(hopeless, plain=COLUMN < 10), 3), right_depth(hopeless, 3))
