@@ -30,13 +30,16 @@ _AT_ONCE = 16
 class Axis:
     """Splines along one axis of the calibration: of the highest order up to the third that its nodes allow."""
 
-    knots: FloatArray  #: Knots of the B-splines.
+    knots: FloatArray  #: Shape (n_knots,), knots of the B-splines.
     order: int  #: Order, 0 for a single node.
     ends: tuple[float, float]  #: Lowest and highest node, beyond which the value at the end holds.
 
     @classmethod
     def fitted(cls, nodes: FloatArray, values: FloatArray, axis: int) -> tuple[Axis, FloatArray]:
-        """The splines through ``values`` along ``axis``, one for each of the ``nodes``, and their coefficients."""
+        """The splines through values of any shape along ``axis``, and their coefficients, of the same shape.
+
+        ``nodes``, shape (n,), are the places of the values along that axis.
+        """
         if nodes.size == 1:
             return cls(np.array([nodes[0], nodes[0] + 1.0]), 0, (float(nodes[0]), float(nodes[0]))), values
         rising = np.argsort(nodes)

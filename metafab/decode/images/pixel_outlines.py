@@ -22,7 +22,7 @@ from metafab.decode.registration.downsampling import repeated
 
 #: Standard deviation of the Gaussian, and its reach, downsampled pixels. From 1.1 to 1.6 natural scenes are 3 to 4 %
 #: less off, an edge 10 to 20 % (three and two frames).
-_DEVIATION, _REACH = 1.3, 2
+DEVIATION, REACH = 1.3, 2
 
 
 def on_pixels(label: NDArray[np.int32], step: int, shape: tuple[int, int]) -> Callable[[NDArray[Any]], NDArray[Any]]:
@@ -35,7 +35,7 @@ def on_pixels(label: NDArray[np.int32], step: int, shape: tuple[int, int]) -> Ca
     if step == 1 or (lowest == highest).all():
         return partial(repeated, step=step, shape=shape)
     thick = window_maxima(lowest == highest, 3)
-    side = 2 * _REACH + 1
+    side = 2 * REACH + 1
     mixed = np.ascontiguousarray(thick & (window_maxima(label, side) != -window_maxima(-label, side)))
     weights = [_weights(n, step, m) for n, m in zip(shape, label.shape, strict=True)]
     source = np.empty(shape, dtype=np.intp)
@@ -47,8 +47,8 @@ def _weights(count: int, step: int, blocks: int) -> FloatArray:
     """Gaussian weights of the downsampled pixels about each pixel of a line, shape (count, 2 reach + 1)."""
     place = np.arange(count)
     nearest = np.minimum((place + step // 2) // step, blocks - 1)
-    away = nearest[:, None] + np.arange(-_REACH, _REACH + 1) - (place / step)[:, None]
-    return np.asarray(np.exp(-0.5 * (away / _DEVIATION) ** 2))
+    away = nearest[:, None] + np.arange(-REACH, REACH + 1) - (place / step)[:, None]
+    return np.asarray(np.exp(-0.5 * (away / DEVIATION) ** 2))
 
 
 @compiled

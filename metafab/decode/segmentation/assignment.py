@@ -77,10 +77,11 @@ class Segmentation:
         allowed = np.stack([np.ones(shape, dtype=bool)] * len(planes) + [near] * len(depths))
         return self.of_layers(planes + [Plane(vergence) for vergence in depths], allowed)
 
-    def of_surfaces(self) -> Regions | None:
+    def of_surfaces(self) -> tuple[Regions, Regions] | None:
         """Segments of the planes across a surface of semi-global matching; None without any, or of too many cells.
 
-        Each lit pixel has the surface's own depth, those of plain parts included.
+        Returns:
+            Pixels at the depths of the planes, and all lit pixels, those of plain parts included, at the surface's own.
         """
         prepared, volume, separation = self.prepared, self.volume, self.separation_per_m
         step = prepared.downsampling.step
@@ -98,7 +99,7 @@ class Segmentation:
             return None
         regions = replace(self, pixels=replace(self.pixels, vergence_per_m=vergence)).of_planes(planes)
         everywhere = np.where(prepared.lit, grown(regions.grown), 0).astype(np.int32)
-        return replace(regions, grown=everywhere, right=right_depth(surface, step), surface_per_m=vergence)
+        return regions, replace(regions, grown=everywhere, right=right_depth(surface, step), surface_per_m=vergence)
 
     def of_layers(self, layers: list[Plane], allowed: NDArray[np.bool_] | None = None) -> Regions:
         """Segments of layers: connected pixels of one plane, where ``allowed`` (n_layers, n_y, n_x)."""

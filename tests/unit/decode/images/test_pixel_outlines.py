@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from metafab.decode.images.pixel_outlines import _DEVIATION, _REACH, on_pixels
+from metafab.decode.images.pixel_outlines import DEVIATION, REACH, on_pixels
 from metafab.decode.registration.downsampling import repeated
 
 SHAPE = (90, 150)
@@ -55,11 +55,11 @@ def test_values_come_from_the_nearest_pixel_of_the_heaviest_segment() -> None:
     stay = np.argwhere(found_label == repeated(label, step, SHAPE))
     np.testing.assert_array_equal(found[tuple(stay.T)], repeated(values, step, SHAPE)[tuple(stay.T)])
     assert len(moved) > 50
-    reach = np.arange(-_REACH, _REACH + 1)
+    reach = np.arange(-REACH, REACH + 1)
     for row, column in moved:
         rows = (min((row + 1) // step, 29) + reach)[:, None]
         columns = (min((column + 1) // step, 49) + reach)[None, :]
-        weight = np.exp(-0.5 * ((rows - row / step) ** 2 + (columns - column / step) ** 2) / _DEVIATION**2)
+        weight = np.exp(-0.5 * ((rows - row / step) ** 2 + (columns - column / step) ** 2) / DEVIATION**2)
         around = label[rows.clip(0, 29), columns.clip(0, 49)]
         heaviest = int(np.argmax([weight[around == number].sum() for number in range(3)]))
         assert found_label[row, column] == heaviest
