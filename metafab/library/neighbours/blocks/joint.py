@@ -19,27 +19,36 @@ from metafab.cell.elements.solve import orders_at
 from metafab.cell.supercell import IntArray, Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray
 
-#: Largest block, in sites, and smallest gap between its pillars as a share of the period.
-MOST_SITES, _SMALLEST_GAP = 49, 0.02
+#: Smallest gap between pillars as a share of the period.
+_SMALLEST_GAP = 0.02
 #: Smallest polynomial order of an element, and orders per wavelength in its medium over the largest element.
 _LEAST_ORDER, _PER_WAVELENGTH = 3, 2.5
+#: Most functions of a block with pillars of one order more, and without: 5 x 5 and 7 x 7 pillars of the paper's lens.
+#: One order more leaves a third of the error, and less of it near narrow resonances.
+_MOST_FINE, _MOST_FUNCTIONS = 2600, 3800
 #: Relative change of the pillars' index for its derivative, and the largest one that single pillars may ask for.
 _INDEX_STEP, _MOST_RAISED = 1e-3, 5e-3
 
 
 def has_joint_effect(supercell: Supercell) -> bool:
     """Whether :func:`joint_effect` treats a supercell: a small block of rectangles that do not touch."""
+    if min(supercell.shape) == 1 or supercell.cell.is_shaped:
+        return False
     gap = 1.0 - float(np.max(supercell.size_nm / supercell.cell.period_nm))
-    is_small = min(supercell.shape) > 1 and math.prod(supercell.shape) <= MOST_SITES
-    return is_small and gap >= _SMALLEST_GAP and not supercell.cell.is_shaped
+    return gap >= _SMALLEST_GAP and element_orders(supercell) is not None
 
 
 def joint_effect(supercell: Supercell, local: ComplexArray) -> ComplexArray:
     """Joint effect of rows and columns on the transmitted orders of a block, shape (orders, 2, 2), [order, out, in].
 
-    ``local`` are t_xx and t_yy of the pillars among equal ones, shape (2, n_y, n_x).
+    ``local`` are t_xx and t_yy of the pillars among equal ones, shape (2, n_y, n_x). ValueError for a block that is too
+    large.
     """
     orders = element_orders(supercell)
+    if orders is None:
+        raise ValueError(
+            f"`supercell`: expected a small block, got {supercell.shape[1]} x {supercell.shape[0]} pillars"
+        )
     block = _tuned(supercell, local, orders)
     order = block.propagating_orders("x")
     lines = _rows(block, order, orders) + _rows(block.exchanged(), order[:, ::-1], orders)[:, ::-1, ::-1]
@@ -48,15 +57,22 @@ def joint_effect(supercell: Supercell, local: ComplexArray) -> ComplexArray:
     return np.asarray(orders_at(block, POLARISATIONS, orders) - lines)
 
 
-def element_orders(supercell: Supercell) -> tuple[int, int]:
-    """Polynomial orders of all pillars and of all gaps of a block and of its lines."""
+def element_orders(supercell: Supercell) -> tuple[int, int] | None:
+    """Polynomial orders of all pillars and of all gaps of a block and of its lines; None for a block too large."""
     cell, size_nm = supercell.cell, supercell.size_nm
     pillar_nm, gap_nm = float(size_nm.max()), float(np.max(np.array(cell.period_nm) - size_nm))
     pillar, gap = (
         math.ceil(_PER_WAVELENGTH * length_nm * complex(index).real / cell.wavelength_nm)
         for length_nm, index in ((pillar_nm, cell.n_pillar), (gap_nm, cell.n_ambient))
     )
-    return max(_LEAST_ORDER, pillar), max(_LEAST_ORDER, gap)
+    pillar, gap = max(_LEAST_ORDER, pillar), max(_LEAST_ORDER, gap)
+    # A block that is its own image under a half turn needs half of the functions.
+    sites = math.prod(supercell.shape) / (2.0 if np.array_equal(size_nm, size_nm[::-1, ::-1]) else 1.0)
+    for order, most in ((pillar + 1, _MOST_FINE), (pillar, _MOST_FUNCTIONS)):
+        # Along each axis of a site order + gap functions; two components of the field, and four corners.
+        if sites * (2 * (order + gap) ** 2 + 4) <= most:
+            return order, gap
+    return None
 
 
 def _rows(supercell: Supercell, order: IntArray, orders: tuple[int, int]) -> ComplexArray:

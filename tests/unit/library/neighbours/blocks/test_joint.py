@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from metafab.cell.elements import orders_at
+from metafab.cell.elements.basis import basis_of
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
-from metafab.library.neighbours.blocks.joint import MOST_SITES, element_orders, has_joint_effect, joint_effect
+from metafab.library.neighbours.blocks.joint import element_orders, has_joint_effect, joint_effect
 from tests.paper_cell import EMPTY
 
 #: Sizes as in a lens.
@@ -71,13 +73,24 @@ def test_it_is_what_rows_and_columns_leave_of_a_block() -> None:
     assert np.linalg.norm(joint_effect(block(size_nm), local)[0] - left) < 0.2 * np.linalg.norm(left)
 
 
-def test_orders_follow_the_largest_pillar_and_the_widest_gap() -> None:
-    assert element_orders(block(np.full((3, 3, 2), 120.0))) == (3, 3)
-    assert element_orders(Supercell(replace(EMPTY, wavelength_nm=400.0), np.full((3, 3, 2), 200.0))) == (5, 3)
+def drawn(n_y: int, n_x: int) -> FloatArray:
+    return np.random.default_rng(6).uniform(110.0, 150.0, (n_y, n_x, 2))
+
+
+def test_orders_follow_the_largest_pillar_the_widest_gap_and_the_number_of_functions() -> None:
+    assert element_orders(block(drawn(5, 5))) == (4, 3)
+    assert element_orders(block(drawn(5, 6))) == (3, 3)
+    assert element_orders(Supercell(replace(EMPTY, wavelength_nm=400.0), drawn(3, 3))) == (5, 3)
+    for orders, n_y, n_x in (((4, 3), 3, 2), ((3, 3), 2, 3)):
+        basis = basis_of(block(drawn(n_y, n_x)), "x", orders)
+        assert basis.sizes[0] == n_y * n_x * (2 * sum(orders) ** 2 + 4)
 
 
 def test_rows_large_blocks_and_pillars_that_touch_are_left_to_the_chains() -> None:
-    assert has_joint_effect(block(np.full((7, MOST_SITES // 7, 2), 120.0)))
-    assert not has_joint_effect(block(np.full((7, MOST_SITES // 7 + 1, 2), 120.0)))
-    assert not has_joint_effect(block(np.full((1, 7, 2), 120.0)))
+    assert has_joint_effect(block(drawn(7, 7)))
+    assert not has_joint_effect(block(drawn(7, 8)))
+    assert has_joint_effect(block(np.full((7, 8, 2), 120.0))), "its own image under a half turn"
+    assert not has_joint_effect(block(drawn(1, 7)))
     assert not has_joint_effect(block(np.full((3, 3, 2), 348.0)))
+    with pytest.raises(ValueError, match="8 x 7"):
+        joint_effect(block(drawn(7, 8)), np.zeros((2, 7, 8), dtype=np.complex128))
