@@ -31,10 +31,15 @@ _INDEX_STEP, _MOST_RAISED = 1e-3, 5e-3
 
 
 def has_joint_effect(supercell: Supercell) -> bool:
-    """Whether :func:`joint_effect` treats a supercell: a small block of rectangles that do not touch."""
-    if min(supercell.shape) == 1 or supercell.cell.is_shaped:
+    """Whether :func:`joint_effect` treats a supercell.
+
+    That is a small block of rectangles that do not touch, with periods that send light into no order but the zeroth.
+    """
+    cell = supercell.cell
+    is_dense = max(cell.period_nm) * max(index.real for index in cell.n_out) < cell.wavelength_nm
+    if min(supercell.shape) == 1 or cell.is_shaped or not is_dense:
         return False
-    gap = 1.0 - float(np.max(supercell.size_nm / supercell.cell.period_nm))
+    gap = 1.0 - float(np.max(supercell.size_nm / cell.period_nm))
     return gap >= _SMALLEST_GAP and element_orders(supercell) is not None
 
 

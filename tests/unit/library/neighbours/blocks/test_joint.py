@@ -92,5 +92,6 @@ def test_rows_large_blocks_and_pillars_that_touch_are_left_to_the_chains() -> No
     assert has_joint_effect(block(np.full((7, 8, 2), 120.0))), "its own image under a half turn"
     assert not has_joint_effect(block(drawn(1, 7)))
     assert not has_joint_effect(block(np.full((3, 3, 2), 348.0)))
+    assert not has_joint_effect(Supercell(replace(EMPTY, wavelength_nm=340.0), drawn(2, 2)))
     with pytest.raises(ValueError, match="8 x 7"):
         joint_effect(block(drawn(7, 8)), np.zeros((2, 7, 8), dtype=np.complex128))
