@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -25,6 +26,10 @@ from metafab.cell.rcwa.symmetry import permittivity
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import FloatArray, Polarisation
 
+#: Polynomial order of an element far smaller than the wavelength; or the orders of all pillars and of all gaps, which
+#: give each site of a supercell the functions that it has alone.
+Resolution: TypeAlias = float | tuple[int, int]
+
 #: Orders of an element beyond the resolution's, per wavelength in its medium.
 _PER_WAVELENGTH = 2.5
 #: Plane waves along an axis over the functions along it.
@@ -33,8 +38,13 @@ _WAVES = 1.25
 _NODES, _NODES_PER_RADIAN = 5, 0.55
 
 
-def polynomial_orders(mesh: Mesh, supercell: Supercell, resolution: float) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def polynomial_orders(
+    mesh: Mesh, supercell: Supercell, resolution: Resolution
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Orders of the elements along x and along y: the resolution, and more for elements of more wavelengths."""
+    if isinstance(resolution, tuple):
+        n_y, n_x = supercell.shape
+        return resolution * n_x, resolution * n_y
     cell = supercell.cell
     counts: list[tuple[int, ...]] = []
     for axis, place in enumerate((mesh.x, mesh.y.T)):
@@ -76,13 +86,15 @@ class Basis:
         return sum(self.counts), self.along_x.nodal_count * self.along_y.nodal_count + self.counts[2]
 
 
-def basis_of(supercell: Supercell, polarisation: Polarisation, resolution: float, *, folded: bool = False) -> Basis:
+def basis_of(
+    supercell: Supercell, polarisation: Polarisation, resolution: Resolution, *, folded: bool = False
+) -> Basis:
     """Basis of a supercell at a resolution.
 
     Args:
         supercell: the pillars.
         polarisation: of the incident light; it chooses the parity of one row. A block serves both polarisations.
-        resolution: polynomial order of an element far smaller than the wavelength.
+        resolution: see :data:`Resolution`.
         folded: keep only the functions with the light's parity, in a row that is its mirror image about its middle or
             in a block that is its image under a half turn.
     """
@@ -100,7 +112,12 @@ def basis_of(supercell: Supercell, polarisation: Polarisation, resolution: float
         number[:, enriched[0]] = np.arange(np.count_nonzero(enriched[0]))
         sign[0] = 1.0 if along_y.even else -1.0
     along_x = periodic_line(orders_x)
-    waves = tuple(math.ceil(0.5 * _WAVES * sum(orders)) for orders in (orders_x, orders_y))
+    # With fixed orders the waves of one site, so that equal rows of a block are the row alone.
+    parts = supercell.shape[::-1] if isinstance(resolution, tuple) else (1, 1)
+    waves = tuple(
+        part * math.ceil(0.5 * _WAVES * sum(orders) / part)
+        for part, orders in zip(parts, (orders_x, orders_y), strict=True)
+    )
     nodes = np.empty((2, *mesh.shape), dtype=np.intp)
     for b, a in np.ndindex(*mesh.shape):
         for axis, order in enumerate((orders_x[a], orders_y[b])):

@@ -18,7 +18,7 @@ import numpy as np
 
 from metafab.cell.curved.supercell import count_functions, curved_layer
 from metafab.cell.elements.assembly import Grams, Layer, Waves, gradient_of, incident
-from metafab.cell.elements.basis import basis_of, elements_of
+from metafab.cell.elements.basis import Resolution, basis_of, elements_of
 from metafab.cell.problem import solve
 from metafab.cell.rcwa.basis.coordinates import IntArray, Matrix
 from metafab.cell.rcwa.layers.factorisation import largest_eigenvalue
@@ -90,11 +90,11 @@ def solve_supercell(
     )
 
 
-def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: float) -> ComplexArray:
+def orders_at(supercell: Supercell, lights: Sequence[Polarisation], resolution: Resolution) -> ComplexArray:
     """E_x and E_y of each transmitted order at one resolution, shape (n_orders, 2, len(lights)).
 
-    ``resolution`` is the polynomial order of an element far smaller than the wavelength, ``lights`` the incident
-    polarisations. Errors as :func:`supercell_orders`.
+    ``resolution``: see :data:`metafab.cell.elements.basis.Resolution`, a number for circles and ellipses. ``lights``:
+    the incident polarisations. Errors as :func:`supercell_orders`.
     """
     if supercell.shape[1] == 1 < supercell.shape[0]:
         turned = orders_at(supercell.exchanged(), [other_light(light) for light in lights], resolution)
@@ -127,8 +127,10 @@ def scattered_by_row(supercell: Supercell, light: Polarisation, resolution: floa
     return np.asarray(scattered)
 
 
-def _layer(supercell: Supercell, lights: Sequence[Polarisation], resolution: float, order: IntArray) -> Layer:
+def _layer(supercell: Supercell, lights: Sequence[Polarisation], resolution: Resolution, order: IntArray) -> Layer:
     if supercell.cell.is_shaped:
+        if isinstance(resolution, tuple):
+            raise ValueError("`resolution`: expected a number for curved outlines, got orders of pillars and gaps")
         return curved_layer(supercell, lights, resolution, order)
     basis = basis_of(supercell, lights[0], resolution, folded=_is_symmetric(supercell))
     elements = elements_of(basis)

@@ -10,7 +10,7 @@
 - ``open_lines``  field along open chains, and its derivatives by the sizes
 - ``windows``     field of a window of a mask: chains along x and along y
 - ``choice``      sizes chosen for the field among neighbours
-- ``blocks``      coupling of chains across their lines, fitted to solved blocks
+- ``blocks``      joint effect of rows and columns: solved, or by chains that are coupled across their lines
 - ``evaluation``  :func:`solve_supercell`: transmitted orders of rows and blocks
 - ``storage``     chains in the file of a library
 """

@@ -1,6 +1,7 @@
-"""Blocks of unlike pillars: the coupling of chains across their lines.
+"""Blocks of unlike pillars: the joint effect of their rows and columns.
 
-- ``lattice``   field of a block by chains that are coupled from line to line
-- ``cross``     cross-polarised light of a block
-- ``training``  blocks that are solved, and the coupling fitted to them
+- ``joint``     joint effect in a small block, by coarse spectral elements
+- ``lattice``   field of a larger block by chains that are coupled from line to line
+- ``cross``     cross-polarised light of a larger block
+- ``training``  the couplings, fitted to joint effects of small blocks
 """

@@ -123,6 +123,17 @@ def test_a_block_exchanges_its_axes() -> None:
     assert np.abs(t[:, 0, 1]).max() < 1e-9, "two by two pillars always have both mirrors"
 
 
+def test_equal_rows_of_a_block_are_the_row_where_all_sites_have_the_same_functions() -> None:
+    """Other light is sent into no order across the rows; a row alone is solved by the functions of its mirror."""
+    row = np.array([RAMP])
+    whole, alone = (orders_at(Supercell(EMPTY, np.repeat(row, n, axis=0)), POLARISATIONS, (3, 2)) for n in (2, 1))
+    order = Supercell(EMPTY, np.repeat(row, 2, axis=0)).propagating_orders("x")
+    np.testing.assert_allclose(whole[order[:, 1] == 0], alone, atol=1e-9)
+    assert np.abs(whole[order[:, 1] != 0]).max(initial=0.0) < 1e-9
+    three, coarse = (orders_at(Supercell(EMPTY, row), POLARISATIONS, orders) for orders in (3.0, (3, 3)))
+    assert 1e-3 < relative_rms(coarse - three, three) < 0.2
+
+
 def test_a_block_that_is_its_image_under_a_half_turn_needs_half_of_the_functions() -> None:
     """Moved by a site it is not its image about the middle, and all functions are kept."""
     a, b, c, d, e = [*RAMP, (220.0, 160.0), (140.0, 210.0)]

@@ -1,16 +1,19 @@
-"""Light of a block by the model: a false resonance of coupled lines is not believed."""
+"""Light of a block by the model: lines and their joint effect; a false resonance of coupled lines is not believed."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from metafab.cell import pillar_cell
 from metafab.cell.supercell import Supercell
+from metafab.core.conventions import POLARISATIONS
 from metafab.core.figures import LineStatistics
 from metafab.library.library import Library
 from metafab.library.neighbours.blocks.cross import free_elements
+from metafab.library.neighbours.blocks.joint import joint_effect
 from metafab.library.neighbours.evaluation import block_corrections, solve_supercell
 from metafab.library.neighbours.line import LineShape, initial_model
 from metafab.library.neighbours.model import Neighbours, TrainedLine
@@ -18,7 +21,29 @@ from metafab.library.neighbours.model import Neighbours, TrainedLine
 SPAN = (100.0, 250.0)
 
 
-def test_coupled_lines_that_send_out_more_light_than_arrives_are_solved_uncoupled(smooth_library: Library) -> None:
+def test_a_small_block_is_its_lines_and_their_joint_effect(smooth_library: Library) -> None:
+    rng = np.random.default_rng(4)
+    models = [initial_model(LineShape(2, 1, 1), SPAN, SPAN, seed) for seed in (1, 2)]
+    along, across = (TrainedLine(each, LineStatistics()) for each in models)
+    bare = Neighbours((along, along), (across, across))
+    couplings = [0.1 * np.ones(line.model.shape.pairs[0].size, dtype=np.complex128) for line in bare.lines]
+    coupled = replace(bare.with_couplings(couplings), cross=np.ones(free_elements(bare), dtype=np.complex128))
+    block = Supercell(pillar_cell(smooth_library.unit_cell, 0.0, 0.0), rng.uniform(*SPAN, (2, 3, 2)))
+    known = smooth_library.surface(block.size_nm[..., 0], block.size_nm[..., 1])
+    orders, joint = block.propagating_orders("x"), joint_effect(block, np.stack([known.t_xx, known.t_yy]))
+    found = solve_supercell(replace(smooth_library, neighbours=coupled), block)
+    for axis, local in enumerate((known.t_xx, known.t_yy)):
+        lines = block.local_period(orders, local + block_corrections(bare, block.size_nm, axis).sum(axis=0))
+        expected = joint[:, :, axis].copy()
+        expected[:, axis] += lines
+        sent = block.relative_power(orders, expected, POLARISATIONS[axis]).sum()
+        np.testing.assert_allclose(found.t[:, :, axis], expected / np.sqrt(max(1.0, sent)), atol=1e-12)
+
+
+def test_coupled_lines_that_send_out_more_light_than_arrives_are_solved_uncoupled(
+    smooth_library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("metafab.library.neighbours.evaluation.has_joint_effect", lambda _: False)
     rng = np.random.default_rng(3)
     models = [initial_model(LineShape(2, 1, 1), SPAN, SPAN, seed) for seed in (1, 2)]
     along, across = (TrainedLine(replace(each, own=100.0 * each.own), LineStatistics()) for each in models)

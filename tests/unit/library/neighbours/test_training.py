@@ -216,8 +216,8 @@ def test_supercells_by_the_model(trained: Library) -> None:
     assert np.abs(equal.t[~zero]).max() < 1e-12
     assert abs(equal.t[zero][0, 0, 0] - passive * complex(known.t_xx)) < 1e-12
 
-    sizes = 100.0 + 2.0 * np.random.default_rng(1).integers(0, 76, (3, 4, 2))
-    for shape in ((1, 4), (3, 1), (3, 4)):
+    sizes = 100.0 + 2.0 * np.random.default_rng(1).integers(0, 76, (2, 3, 2))
+    for shape in ((1, 3), (2, 1), (2, 3)):
         block = Supercell(cell, sizes[: shape[0], : shape[1]])
         answer = solve_supercell(library, block)
         turned = solve_supercell(library, block.exchanged())
