@@ -136,11 +136,13 @@ def _patch_means(
     for y in range(first, stop):
         for image in range(2):
             for x in range(n_x):
-                total, n_full, n_invalid = 0.0, 0, 0
-                for i in range(row[image, y, x], row[image, y, x] + side):
-                    line = frame[min(max(i, 0), last_row)]
-                    for j in range(column[image, y, x], column[image, y, x] + side):
-                        value = np.float64(line[min(max(j, 0), last_column)])
+                total, n_full, n_invalid, above, left = 0.0, 0, 0, row[image, y, x], column[image, y, x]
+                is_inside = above >= 0 and left >= 0 and above + side <= last_row + 1 and left + side <= last_column + 1
+                for di in range(side):
+                    i = above + di if is_inside else min(max(above + di, 0), last_row)
+                    for dj in range(side):
+                        j = left + dj if is_inside else min(max(left + dj, 0), last_column)
+                        value = np.float64(frame[i, j])
                         # Without branches, which would be mispredicted.
                         valid = abs(value) < BRIGHTEST
                         total += min(value, limit) if valid else 0.0

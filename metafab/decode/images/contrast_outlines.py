@@ -13,7 +13,6 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
 from scipy.ndimage import label as connected_components
 from scipy.special import expit, logit
 
@@ -24,7 +23,7 @@ from metafab.core.parallel.executor import spread
 from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.fit import across_outlines, connected_moves
-from metafab.decode.segmentation.segments import Regions
+from metafab.decode.segmentation.segments import Regions, dilated
 
 #: Side of the window whose light gives a ratio, frame pixels.
 _WINDOW_PX = 7
@@ -116,7 +115,7 @@ def _with_cut_off(
         is_body[piece[sure[box]]] = True
         for other in np.unique(moved[own & (moved > 0)]).tolist():
             beside = np.zeros(count + 1, dtype=bool)
-            beside[piece[binary_dilation(moved[box] == other)]] = True
+            beside[piece[dilated(moved[box] == other)]] = True
             taken[box][(piece > 0) & (beside & ~is_body)[piece]] = other
     return taken
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_opening
+from scipy.ndimage import binary_opening, find_objects
 
 from metafab.core.numeric.distance import distance
 from metafab.core.parallel.executor import kept_threads
@@ -140,19 +140,24 @@ class Segmentation:
         label, inner = np.zeros((2, *segments.shape), dtype=np.int32)
         plain = np.zeros(segments.shape, dtype=bool)
 
-        def interior_of(number: int) -> NDArray[np.bool_] | None:
-            if is_textured(segments == number, texture, OUTLINE_REACH_PX // step):
-                return interior(segments, number, step)
+        # No other segments matter for an interior, and no other texture, than those in its surroundings.
+        reach = OUTLINE_REACH_PX // step
+        boxes = [tuple(slice(max(0, at.start - reach), at.stop + reach) for at in box) for box in find_objects(segments)]
+
+        def interior_of(number: int, box: tuple[slice, ...]) -> NDArray[np.bool_] | None:
+            if is_textured(segments[box] == number, texture[box], reach):
+                return interior(segments[box], number, step)
             return None
 
-        numbers = range(1, int(segments.max(initial=0)) + 1)
+        numbers = range(1, len(boxes) + 1)
         with kept_threads() as pool:
-            for number, inside in zip(numbers, pool.map(interior_of, numbers), strict=True):
+            for number, box, inside in zip(numbers, boxes, pool.map(interior_of, numbers, boxes), strict=True):
+                own = segments[box] == number
                 if inside is None:
-                    plain |= segments == number
+                    plain[box] |= own
                     continue
                 count += 1
-                label[segments == number], inner[inside] = count, count
+                label[box][own], inner[box][inside] = count, count
         return label, inner, plain
 
 
