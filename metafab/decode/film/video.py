@@ -293,13 +293,14 @@ class VideoDecoder:
             numbers = np.where(depths > 0, depths + vergences.size, 0)[one.inside]
             label[one.part] = np.where(affected[one.part], numbers, 0)
             vergences = np.append(vergences, of_depths)
-        wanted, renewed = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=bool)
-        all_wanted, all_affected = (repeated(values, downsampling.step, shape) for values in (label, affected))
-        for one in rectangles:
-            inside = downsampling.frame_slices(*one.part)
-            wanted[inside], renewed[inside] = all_wanted[inside], all_affected[inside]
+        wanted = np.zeros(shape, dtype=np.int32)
+        all_wanted, renewed = (repeated(values, downsampling.step, shape) for values in (label, affected))
+        parts = [downsampling.frame_slices(*one.part) for one in rectangles]
+        for part in parts:
+            wanted[part] = all_wanted[part]
         sharp = self.decoder.deconvolver(tiles, prepared.levels, wanted, vergences, prepared.twins.broken)
-        last.sharp.overwrite(sharp, renewed)
+        for part in parts:
+            last.sharp.within(*part).overwrite(sharp.within(*part), renewed[part])
         return last.sharp
 
 

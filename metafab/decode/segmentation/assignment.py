@@ -142,7 +142,9 @@ class Segmentation:
 
         # No other segments matter for an interior, and no other texture, than those in its surroundings.
         reach = OUTLINE_REACH_PX // step
-        boxes = [tuple(slice(max(0, at.start - reach), at.stop + reach) for at in box) for box in find_objects(segments)]
+        boxes = [
+            tuple(slice(max(0, at.start - reach), at.stop + reach) for at in box) for box in find_objects(segments)
+        ]
 
         def interior_of(number: int, box: tuple[slice, ...]) -> NDArray[np.bool_] | None:
             if is_textured(segments[box] == number, texture[box], reach):

@@ -175,12 +175,29 @@ class LayerOptics:
         ``vergence_per_m`` is that of the nearer layer, less that of the layer behind it; ``size``, (n_y, n_x), is that
         of a tile by default.
         """
-        ky, kx = frequencies(size or self.tiling.size, 1)
+        rows, columns = size or self.tiling.size
         along_x, along_y = (
-            np.exp(2j * np.pi * vergence_per_m * shift[:, None] * k)
-            for shift, k in zip(self.shifts_px_m.T, (kx, ky), strict=True)
+            _waves(vergence_per_m * shift, n)
+            for shift, n in zip(self.shifts_px_m.T, (columns, rows), strict=True)
         )
-        return np.asarray(along_y.T @ along_x / len(along_x), dtype=np.complex64)
+        along_y = np.concatenate([along_y[:, :-1], along_y[:, :0:-1].conj()], axis=1)
+        return np.asarray(along_y.T @ along_x / np.float32(len(along_x)))
+
+
+def _waves(shift_px: FloatArray, size: int) -> NDArray[np.complex64]:
+    """exp(2 pi i k shift) at the frequencies k from 0 to 1/2 of ``size`` pixels: shape (n, size // 2 + 1).
+
+    Products of waves, in double precision: a tenth of the time of as many exponentials.
+    """
+    count = size // 2 + 1
+    waves = np.empty((shift_px.size, count), dtype=np.complex128)
+    waves[:, 0], first = 1.0, np.exp(2j * np.pi / size * shift_px)
+    done = 1
+    while done < count:
+        more = min(done, count - done)
+        np.multiply(waves[:, :more], (waves[:, done - 1] * first)[:, None], out=waves[:, done : done + more])
+        done += more
+    return waves.astype(np.complex64)
 
 
 def at_depth(optics: LayerOptics, pair: NDArray[np.complex64], vergence_per_m: float) -> NDArray[np.complex64]:
