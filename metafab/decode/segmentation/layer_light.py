@@ -177,8 +177,7 @@ class LayerOptics:
         """
         rows, columns = size or self.tiling.size
         along_x, along_y = (
-            _waves(vergence_per_m * shift, n)
-            for shift, n in zip(self.shifts_px_m.T, (columns, rows), strict=True)
+            _waves(vergence_per_m * shift, n) for shift, n in zip(self.shifts_px_m.T, (columns, rows), strict=True)
         )
         along_y = np.concatenate([along_y[:, :-1], along_y[:, :0:-1].conj()], axis=1)
         return np.asarray(along_y.T @ along_x / np.float32(len(along_x)))
