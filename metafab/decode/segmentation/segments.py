@@ -450,13 +450,16 @@ def fragment_targets(depths: Sequence[SegmentDepth], label: NDArray[np.int32], s
 
 
 def _along_rim(label: NDArray[np.int32], count: int, width: int) -> NDArray[np.bool_]:
-    """Whether nearly all pixels of a segment are within ``width`` pixels of one side of the picture: shape (count,)."""
-    sizes = np.bincount(label.ravel(), minlength=count)
-    beyond = [
-        np.bincount(rest.ravel(), minlength=count)
-        for rest in (label[width:], label[:-width], label[:, width:], label[:, :-width])
-    ]
-    return np.asarray(np.min(beyond, axis=0) < _STRIP_REST * sizes)
+    """Whether nearly all pixels of a segment are within ``width`` pixels of one side of the picture: shape (count,).
+
+    Sides of a picture that is not three times as wide count for nothing.
+    """
+    sizes, is_strip = np.bincount(label.ravel(), minlength=count), np.zeros(count, dtype=bool)
+    for lines in (label, label.T):
+        if len(lines) > 3 * width:
+            for rest in (lines[width:], lines[:-width]) if width else ():
+                is_strip |= np.bincount(rest.ravel(), minlength=count) < _STRIP_REST * sizes
+    return is_strip
 
 
 def adjacency(label: NDArray[np.int32], count: int) -> NDArray[np.bool_]:

@@ -99,6 +99,12 @@ def test_a_strip_along_the_rim_joins_what_is_within_4_per_cent(vergence: float, 
     assert fragment_targets([depth(3.0, 1e-4), strip], label, 2).tolist() == [0, 1, target]
 
 
+def test_a_small_picture_has_no_strips() -> None:
+    label = np.ones((20, 40), dtype=np.int32)
+    label[:, -6:] = 2
+    assert fragment_targets([depth(3.0, 1e-4), depth(3.1, 1e-4)], label, 2).tolist() == [0, 1, 2]
+
+
 def test_what_is_not_beside_it_is_no_neighbour() -> None:
     depths = [depth(3.0, 1e-3), depth(3.8, 0.01), depth(3.8, 1e-3)]
     np.testing.assert_array_equal(fragment_targets(depths, LABEL, COARSE), [0, 1, 2, 3])
