@@ -61,7 +61,7 @@ def differs(vergence_per_m: FloatArray, other_per_m: FloatArray) -> NDArray[np.b
 
 
 def beside_outlines(vergence_per_m: FloatArray) -> NDArray[np.bool_]:
-    """Pixels beside one whose depth would be wrong for them, for 1/depths of shape (n_y, n_x): the same shape."""
+    """Pixels next to one whose depth differs by more than 5 %, for 1/depths of shape (n_y, n_x): the same shape."""
     beside = np.zeros(vergence_per_m.shape, dtype=bool)
     for one, other in (((slice(1, None),), (slice(None, -1),)), ((..., slice(1, None)), (..., slice(None, -1)))):
         unlike = differs(vergence_per_m[one], vergence_per_m[other])

@@ -260,8 +260,8 @@ class Neighbours:
     #: the median error on rows of random sizes is 1.3 times as large.
     more_modes: Annotated[int, Field(strict=True, ge=0, le=3)] = 2
     #: Blocks of 3 x 3 to 5 x 5 pillars to solve, for the coupling of rows across themselves and of both polarisations;
-    #: 0 for none. They take some 15 minutes of processor time, and serve orders of blocks of more than 49 pillars
-    #: (`metafab fullwave --solver model`).
+    #: 0 for none. They take some 15 minutes of processor time, and serve orders of large blocks, with
+    #: the paper's cell of more than 49 pillars (`metafab fullwave --solver model`).
     blocks: Annotated[int, Field(strict=True, ge=0, le=2000)] = 64
 
 

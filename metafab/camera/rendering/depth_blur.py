@@ -20,9 +20,9 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import kept_threads, spread
 
-#: Columns of the first random sketch of the kernels.
+#: Columns of the first random sketch of the kernels: the pair of the paper's lens needs 89.
 _SKETCH = 128
-#: Basis kernels whose maps are made at a time.
+#: Basis kernels whose maps are made at a time: 64 bytes for each pixel.
 _AT_ONCE = 16
 
 
@@ -49,7 +49,7 @@ class Axis:
         return cls(spline.t, order, (float(nodes.min()), float(nodes.max()))), coefficients
 
     def at(self, places: FloatArray) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Number of the first B-spline that is not zero at places, shape (n,), and the values of all that are not."""
+        """Numbers of the first nonzero B-spline at places, shape (n,), and the values of all nonzero ones."""
         inside = np.clip(places, *self.ends)
         design = BSpline.design_matrix(inside, self.knots, self.order)
         weights = design.data.reshape(places.size, self.order + 1)

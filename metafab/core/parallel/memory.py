@@ -15,7 +15,7 @@ _MALLOC_BYTES = {-1: 1 << 26, -3: 1 << 25}
 
 @cache
 def keep_freed_memory() -> None:
-    """Let the memory of freed arrays stay with this process, for the next item; without effect beside glibc.
+    """Let the memory of freed arrays stay with this process, for the next item; no effect with other C libraries.
 
     Dask starts its workers with ``MALLOC_TRIM_THRESHOLD_`` at 64 kB: every array goes back to the system, and page
     faults take a third of the time of a tile.
@@ -27,7 +27,7 @@ def keep_freed_memory() -> None:
 
 
 def give_back_freed_memory() -> None:
-    """Give the memory of freed arrays back to the system; without effect beside glibc.
+    """Give the memory of freed arrays back to the system; no effect with other C libraries.
 
     glibc keeps what arrays of up to 32 MB leave behind: 50 to 190 MB after a step of a run.
     """

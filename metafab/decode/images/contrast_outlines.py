@@ -51,6 +51,8 @@ def moved_outlines(
 ) -> Regions:
     """Segments with outlines where the contrast changes; ``regions`` itself where no two of them differ in it.
 
+    Continuous surfaces stay as they are.
+
     Args:
         regions: segments, with the probability that each pixel is in the right one.
         sharp: sharp images.
@@ -58,7 +60,7 @@ def moved_outlines(
         lit: shape of the sharp images, pixels that have light in them.
         where: shape (n_y, n_x), pixels that may change; all by default.
     """
-    if len(regions.depths) < 2 or regions.right is None:
+    if len(regions.depths) < 2 or regions.right is None or regions.continuous:
         return regions
     label = regions.grown
     ratio = _log_ratio(sharp.images, step, label.shape)
@@ -91,7 +93,6 @@ def moved_outlines(
         interior=np.where(moved > 0, 0, regions.interior).astype(np.int32),
         grown=number.astype(np.int32),
         right=right,
-        surface_per_m=regions.surface_of(number.astype(np.int32)),
     )
 
 

@@ -21,7 +21,7 @@ from metafab.decode.matching.pooling import window_maxima
 from metafab.decode.registration.downsampling import repeated
 
 #: Standard deviation of the Gaussian, and its reach, downsampled pixels. From 1.1 to 1.6 natural scenes are 3 to 4 %
-#: less off, an edge 10 to 20 % (three and two frames).
+#: less off, an edge 2 to 20 % (three frames each).
 DEVIATION, REACH = 1.3, 2
 
 

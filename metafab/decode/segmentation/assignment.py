@@ -140,7 +140,7 @@ class Segmentation:
         label, inner = np.zeros((2, *segments.shape), dtype=np.int32)
         plain = np.zeros(segments.shape, dtype=bool)
 
-        # No other segments matter for an interior, and no other texture, than those in its surroundings.
+        # Interior and texture depend on the surroundings of a segment alone.
         reach = OUTLINE_REACH_PX // step
         boxes = [
             tuple(slice(max(0, at.start - reach), at.stop + reach) for at in box) for box in find_objects(segments)

@@ -172,8 +172,8 @@ class LayerOptics:
     def aperture(self, vergence_per_m: float, size: tuple[int, int] | None = None) -> NDArray[np.complex64]:
         """Transfer function of the share of the aperture that a nearer layer covers, shape (n_ky, n_kx).
 
-        ``vergence_per_m`` is that of the nearer layer, less that of the layer behind it; ``size``, (n_y, n_x), is that
-        of a tile by default.
+        ``vergence_per_m`` is that of the nearer layer, less that of the layer behind it; ``size``, (n_y, n_x) with an
+        even n_y, is that of a tile by default.
         """
         rows, columns = size or self.tiling.size
         along_x, along_y = (

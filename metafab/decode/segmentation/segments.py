@@ -43,10 +43,10 @@ _LEAST_TEXTURED = 0.05
 _SAME_DEPTH, _SIZE_RATIO = 2.5, 4
 #: Width of a strip along the picture's rim (frame pixels), and relative difference within which it has its neighbour's
 #: depth: in 4 of 12 frames a tilted wall had such a strip, 14 to 28 px wide and 1.4 to 2.7 % off, as windows there miss
-#: what lies beyond the rim. Its stated error, 0.1 to 0.7 %, knows the noise alone.
+#: what lies beyond the rim. Its stated error, 0.1 to 0.7 %, counts the noise alone.
 _STRIP_PX, _STRIP_DIFFERENCE = 30, 0.04
-#: Share of a strip's pixels that may be farther from the rim.
-_STRIP_REST = 0.1
+#: Share of a strip's pixels that may be farther from the rim, and its least length along the rim over its mean width.
+_STRIP_REST, _STRIP_RATIO = 0.1, 3.0
 
 #: Ratio of the eigenvalues of the structure tensor below which structure lies along one straight line: outlines of
 #: plain surfaces have 0.001 to 0.003, narrow segments of textured ones 0.16 to 0.7.
@@ -138,6 +138,7 @@ class Regions:
             depths=tuple(depth for depth, stay in zip(self.depths, stays[1:].tolist(), strict=True) if stay),
             label=number[np.where(np.isin(self.label, numbers), grown_label, self.label)],
             interior=number[self.interior],
+            surface_per_m=self.surface_of(grown_label),
             grown=number[grown_label],
         )
 
@@ -450,15 +451,19 @@ def fragment_targets(depths: Sequence[SegmentDepth], label: NDArray[np.int32], s
 
 
 def _along_rim(label: NDArray[np.int32], count: int, width: int) -> NDArray[np.bool_]:
-    """Whether nearly all pixels of a segment are within ``width`` pixels of one side of the picture: shape (count,).
+    """Whether a segment is a strip along a side of the picture, by its number in ``label`` below ``count``.
 
-    Sides of a picture that is not three times as wide count for nothing.
+    A strip touches the side, is long along it, and has nearly all of its pixels within ``width`` pixels of it. An axis
+    along which the picture is at most three widths long has none.
     """
     sizes, is_strip = np.bincount(label.ravel(), minlength=count), np.zeros(count, dtype=bool)
     for lines in (label, label.T):
-        if len(lines) > 3 * width:
-            for rest in (lines[width:], lines[:-width]) if width else ():
-                is_strip |= np.bincount(rest.ravel(), minlength=count) < _STRIP_REST * sizes
+        for from_side in (lines, lines[::-1]) if len(lines) > 3 * width > 0 else ():
+            beyond = np.bincount(from_side[width:].ravel(), minlength=count)
+            touching = np.bincount(from_side[0], minlength=count) > 0
+            for number in np.flatnonzero(touching & (beyond < _STRIP_REST * sizes)).tolist():
+                length = np.count_nonzero((from_side[:width] == number).any(axis=0))
+                is_strip[number] |= length**2 >= _STRIP_RATIO * sizes[number]
     return is_strip
 
 

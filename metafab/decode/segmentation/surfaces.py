@@ -27,9 +27,10 @@ _CLEARLY_BETTER = 0.93
 #: Misfit of pixels' depths to planes fitted to their segments from which segments are sought on continuous surfaces:
 #: scenes of flat objects and photographs on them have 1.0 to 2.4, a steep ground 3.1, the Middlebury motorcycle 6.
 _UNFIT = 2.6
-#: Relative difference of planes from the surface that they run across, and share of the pixels within segments that
-#: differ by more, from which each pixel has the surface's own depth: 0.02 to 0.2 in five pictures with depth and a
-#: steep ground, 0 for a film's tilted road, which is wrong in 0.2 % of the pixels by planes, in 1.3 % by the surface.
+#: Relative difference of planes from the surface that they run across.
+#: Share of the pixels within segments that differ by more, from which each pixel has the surface's own depth. It is
+#: 0.02 to 0.2 in five pictures with depth and a steep ground, and 0 for a film's tilted road, which is wrong in 0.2 %
+#: of its pixels by planes and in 1.3 % by the surface.
 _OFF_SURFACE, _FEW_OFF = 0.02, 0.005
 #: Most downsampled pixels of a frame whose continuous surfaces are sought. A pixel takes 1.2 kilobytes.
 _MOST_SURFACE_PIXELS = 400_000

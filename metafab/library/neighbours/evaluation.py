@@ -33,9 +33,9 @@ if TYPE_CHECKING:
 #: elements, with rows and columns solved exactly, on both lights of 21 blocks: at most 0.75 on eight of 3 x 3 as in a
 #: lens and on twelve of 2 x 2 and 3 x 3 random pillars, 0.3 and 1.6 on one of 4 x 4 as in a lens.
 _BLOCK_SHARE = 2.0
-#: Error of a solved joint effect over its norm. On both lights of nine windows of a lens and of two blocks of random
+#: Error of a solved joint effect over its norm. On both lights of ten windows of a lens and of two blocks of random
 #: sizes, 3 x 3 to 7 x 7 pillars against fine elements: 0.05 to 0.24; 0.06 to 0.28 with gaps and pillars of order three,
-#: and 0.75 of a small one.
+#: and 0.75 of a small one. Unsymmetric blocks of 7 x 7, which have that order, were not compared.
 _JOINT_SHARE = 0.5
 #: Largest block, in sites, whose lines are coupled: 20 x 20 sites take 4 s, 40 x 40 would take 22 s and 0.9 GB.
 _MOST_COUPLED_SITES = 400
@@ -44,7 +44,8 @@ _MOST_COUPLED_SITES = 400
 def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
     """Transmitted orders of a supercell by the library's model of neighbours.
 
-    Amplitudes of both incident polarisations; cross-polarised light where the library holds the couplings of blocks.
+    Amplitudes of both incident polarisations; cross-polarised light in small blocks, and in larger ones where the
+    library holds their couplings.
     InputError if the library holds no such model, or a site has no pillar or one outside its sizes.
     """
     start = time.perf_counter()

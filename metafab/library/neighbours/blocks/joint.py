@@ -1,7 +1,7 @@
 """Joint effect of the rows and the columns of a small block, by coarse spectral elements.
 
 The field of a block is that of its pillars among equal ones, plus what each row alone and each column alone adds to it,
-plus a joint effect. Chains know the first three. The joint effect is a difference of solutions with few functions a
+plus a joint effect. Chains give the first three. The joint effect is a difference of solutions with few functions a
 site: of the block, less those of its rows and of its columns, plus those of its pillars among equal ones. All hold the
 same functions on each site, so that most of their error is common to them and cancels. What does not cancel is a shift
 of resonances: few functions guide light as pillars of a smaller index would. Their index is raised until single pillars
@@ -24,8 +24,8 @@ _SMALLEST_GAP = 0.02
 #: Smallest polynomial order of an element, and orders per wavelength in its medium over the largest element.
 _LEAST_ORDER, _PER_WAVELENGTH = 3, 2.5
 #: Most functions of a block with pillars of one order more, and without: 5 x 5 and 7 x 7 pillars of the paper's lens.
-#: On both lights of nine blocks against fine elements (rms) the first leaves 0.007 of the field, the second 0.014. They
-#: take 48 s, and 150 s and 4 GB.
+#: On both lights of ten and of nine blocks against fine elements (rms) the first leaves 0.006 of the field, the second
+#: 0.014. They take 48 s, and 150 s and 4 GB.
 _MOST_FINE, _MOST_FUNCTIONS = 2600, 3800
 #: Relative change of the pillars' index for its derivative, and the largest one that single pillars may ask for.
 _INDEX_STEP, _MOST_RAISED = 1e-3, 5e-3
@@ -35,10 +35,12 @@ def has_joint_effect(supercell: Supercell) -> bool:
     """Whether :func:`joint_effect` treats a supercell.
 
     That is a small block of rectangles that do not touch, with periods that send light into no order but the zeroth.
+    Equal rows or equal columns have no joint effect.
     """
     cell = supercell.cell
     is_dense = max(cell.period_nm) * max(index.real for index in cell.n_out) < cell.wavelength_nm
-    if min(supercell.shape) == 1 or cell.is_shaped or not is_dense:
+    are_equal = any(not np.ptp(supercell.size_nm, axis=axis).any() for axis in (0, 1))
+    if are_equal or cell.is_shaped or not is_dense:
         return False
     gap = 1.0 - float(np.max(supercell.size_nm / cell.period_nm))
     return gap >= _SMALLEST_GAP and element_orders(supercell) is not None
@@ -82,7 +84,7 @@ def element_orders(supercell: Supercell) -> tuple[int, int] | None:
 
 
 def _rows(supercell: Supercell, order: IntArray, orders: tuple[int, int]) -> ComplexArray:
-    """Orders of a block in which each row were among equal ones, shape (orders, 2, 2)."""
+    """Orders of a block as if each row stood among equal rows, shape (orders, 2, 2)."""
     n_y = supercell.shape[0]
     place = (np.arange(n_y) + 0.5) / n_y - 0.5
     distinct, number = np.unique(supercell.size_nm, axis=0, return_inverse=True)

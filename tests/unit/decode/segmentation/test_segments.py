@@ -99,6 +99,14 @@ def test_a_strip_along_the_rim_joins_what_is_within_4_per_cent(vergence: float, 
     assert fragment_targets([depth(3.0, 1e-4), strip], label, 2).tolist() == [0, 1, target]
 
 
+@pytest.mark.parametrize("rows", [slice(30, 42), slice(0, 12)])
+def test_an_object_at_the_rim_is_no_strip(rows: slice) -> None:
+    """24 x 24 frame pixels, 3.3 % before the wall."""
+    label = np.ones((80, 120), dtype=np.int32)
+    label[rows, -12:] = 2
+    assert fragment_targets([depth(3.0, 1e-4), depth(3.1, 1e-4)], label, 2).tolist() == [0, 1, 2]
+
+
 def test_a_small_picture_has_no_strips() -> None:
     label = np.ones((20, 40), dtype=np.int32)
     label[:, -6:] = 2

@@ -21,7 +21,11 @@ from metafab.library.neighbours.model import Neighbours, TrainedLine
 SPAN = (100.0, 250.0)
 
 
-def test_a_small_block_is_its_lines_and_their_joint_effect(smooth_library: Library) -> None:
+def test_a_small_block_is_its_lines_and_their_joint_effect(
+    smooth_library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What is stated of the lines has tests of its own.
+    monkeypatch.setattr("metafab.library.neighbours.evaluation._stated_error", lambda *_: 0.0)
     rng = np.random.default_rng(4)
     models = [initial_model(LineShape(2, 1, 1), SPAN, SPAN, seed) for seed in (1, 2)]
     along, across = (TrainedLine(each, LineStatistics()) for each in models)
@@ -32,12 +36,16 @@ def test_a_small_block_is_its_lines_and_their_joint_effect(smooth_library: Libra
     known = smooth_library.surface(block.size_nm[..., 0], block.size_nm[..., 1])
     orders, joint = block.propagating_orders("x"), joint_effect(block, np.stack([known.t_xx, known.t_yy]))
     found = solve_supercell(replace(smooth_library, neighbours=coupled), block)
+    share, lit = np.zeros(2), np.zeros(2)
     for axis, local in enumerate((known.t_xx, known.t_yy)):
         lines = block.local_period(orders, local + block_corrections(bare, block.size_nm, axis).sum(axis=0))
         expected = joint[:, :, axis].copy()
         expected[:, axis] += lines
+        share[axis], lit[axis] = np.linalg.norm(joint[:, :, axis]), np.linalg.norm(expected)
         sent = block.relative_power(orders, expected, POLARISATIONS[axis]).sum()
         np.testing.assert_allclose(found.t[:, :, axis], expected / np.sqrt(max(1.0, sent)), atol=1e-12)
+    # Half of the joint effect, more where the scaling for power comes on top.
+    assert found.error >= 0.5 * np.linalg.norm(share) / np.linalg.norm(lit) * (1.0 - 1e-9)
 
 
 def test_coupled_lines_that_send_out_more_light_than_arrives_are_solved_uncoupled(

@@ -69,8 +69,8 @@ def test_it_is_what_rows_and_columns_leave_of_a_block() -> None:
     local = alone(size_nm)
     left = fine(size_nm) - (rows + columns - np.diag(local.mean(axis=(1, 2))))
     assert np.linalg.norm(left) > 0.05
-    # Near narrow resonances, which coarse elements shift, up to 0.24 of it were left in blocks of a lens.
-    assert np.linalg.norm(joint_effect(block(size_nm), local)[0] - left) < 0.2 * np.linalg.norm(left)
+    # 0.08; with the index as it is 0.14. Near narrow resonances up to 0.24 were left in blocks of a lens.
+    assert np.linalg.norm(joint_effect(block(size_nm), local)[0] - left) < 0.1 * np.linalg.norm(left)
 
 
 def drawn(n_y: int, n_x: int) -> FloatArray:
@@ -89,9 +89,10 @@ def test_orders_follow_the_largest_pillar_the_widest_gap_and_the_number_of_funct
 def test_rows_large_blocks_and_pillars_that_touch_are_left_to_the_chains() -> None:
     assert has_joint_effect(block(drawn(7, 7)))
     assert not has_joint_effect(block(drawn(7, 8)))
-    assert has_joint_effect(block(np.full((7, 8, 2), 120.0))), "its own image under a half turn"
+    assert has_joint_effect(block(0.5 * (drawn(7, 8) + drawn(7, 8)[::-1, ::-1]))), "its own image under a half turn"
+    assert not has_joint_effect(block(np.broadcast_to(ROW_NM, (2, 3, 2))))
     assert not has_joint_effect(block(drawn(1, 7)))
-    assert not has_joint_effect(block(np.full((3, 3, 2), 348.0)))
+    assert not has_joint_effect(block(drawn(3, 3) + 200.0))
     assert not has_joint_effect(Supercell(replace(EMPTY, wavelength_nm=340.0), drawn(2, 2)))
     with pytest.raises(ValueError, match="8 x 7"):
         joint_effect(block(drawn(7, 8)), np.zeros((2, 7, 8), dtype=np.complex128))
