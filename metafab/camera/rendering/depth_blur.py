@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.fft
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, make_interp_spline
 
 from metafab.camera.kernels import PairKernels
 from metafab.camera.rendering.blur import BASIS_TOLERANCE
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
+from metafab.core.numeric.interpolation import LocalSplines
 from metafab.core.parallel.executor import kept_threads, spread
 
 #: Columns of the first random sketch of the kernels: the pair of the paper's lens needs 89.
@@ -27,42 +27,12 @@ _AT_ONCE = 16
 
 
 @dataclass(frozen=True)
-class Axis:
-    """Splines along one axis of the calibration: of the highest order up to the third that its nodes allow."""
-
-    knots: FloatArray  #: Shape (n_knots,), knots of the B-splines.
-    order: int  #: Order, 0 for a single node.
-    ends: tuple[float, float]  #: Lowest and highest node, beyond which the value at the end holds.
-
-    @classmethod
-    def fitted(cls, nodes: FloatArray, values: FloatArray, axis: int) -> tuple[Axis, FloatArray]:
-        """The splines through values of any shape along ``axis``, and their coefficients, of the same shape.
-
-        ``nodes``, shape (n,), are the places of the values along that axis.
-        """
-        if nodes.size == 1:
-            return cls(np.array([nodes[0], nodes[0] + 1.0]), 0, (float(nodes[0]), float(nodes[0]))), values
-        rising = np.argsort(nodes)
-        order = min(3, nodes.size - 1)
-        spline = make_interp_spline(nodes[rising], values.take(rising, axis), k=order, axis=axis)
-        coefficients = np.moveaxis(spline.c, 0, axis) if axis else spline.c
-        return cls(spline.t, order, (float(nodes.min()), float(nodes.max()))), coefficients
-
-    def at(self, places: FloatArray) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """Numbers of the first nonzero B-spline at places, shape (n,), and the values of all nonzero ones."""
-        inside = np.clip(places, *self.ends)
-        design = BSpline.design_matrix(inside, self.knots, self.order)
-        weights = design.data.reshape(places.size, self.order + 1)
-        return design.indices[:: self.order + 1].astype(np.int32), weights.astype(np.float32)
-
-
-@dataclass(frozen=True)
 class DepthBlur:
     """The blur of one polarisation at all calibrated depths and field points."""
 
     basis: NDArray[np.float32]  #: Shape (n_basis, k_y, k_x), basis kernels.
     coefficients: NDArray[np.float32]  #: Shape (n_depth, n_field_y, n_field_x, n_basis), of the B-splines.
-    axes: tuple[Axis, Axis, Axis]  #: Of vergence, y/z and x/z.
+    axes: tuple[LocalSplines, LocalSplines, LocalSplines]  #: Of vergence, y/z and x/z.
 
     @classmethod
     def of(cls, kernels: PairKernels, polarisation: int) -> DepthBlur:
@@ -75,7 +45,7 @@ class DepthBlur:
         places = 1.0 / kernels.psf.depth_m, kernels.tangent_y, kernels.tangent_x
         axes = []
         for axis, at in enumerate(places):
-            splines, values = Axis.fitted(at, values, axis)
+            splines, values = LocalSplines.fitted(at, values, axis)
             axes.append(splines)
         return cls(
             basis.reshape(-1, *nodes.shape[-2:]),
@@ -103,6 +73,7 @@ class DepthBlur:
             return np.zeros(full)
         places = vergence_per_m[rows, columns], tangent_y[rows, columns], tangent_x[rows, columns]
         splines = [axis.at(np.asarray(place)) for axis, place in zip(self.axes, places, strict=True)]
+        firsts, weights = zip(*splines, strict=True)
         flux = light[rows, columns].astype(np.float32)
         fast = tuple(scipy.fft.next_fast_len(n, real=True) for n in full)
         total = np.zeros((fast[0], fast[1] // 2 + 1), dtype=np.complex64)
@@ -110,7 +81,6 @@ class DepthBlur:
             for first in range(0, len(self.basis), _AT_ONCE):
                 table = np.ascontiguousarray(self.coefficients[..., first : first + _AT_ONCE])
                 values = np.empty((flux.size, table.shape[-1]), dtype=np.float32)
-                firsts, weights = zip(*splines, strict=True)
                 spread(_coefficients, flux.size, table, *firsts, *weights, flux, values)
                 for kernel, column in zip(self.basis[first : first + _AT_ONCE], values.T, strict=True):
                     image = np.zeros(light.shape, dtype=np.float32)

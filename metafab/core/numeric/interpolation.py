@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeVar
 
@@ -31,9 +32,43 @@ def spline_weights(nodes: FloatArray, at: ArrayLike) -> FloatArray:
 @lru_cache(maxsize=32)
 def _cardinal_splines(nodes: tuple[float, ...]) -> BSpline:
     """The splines that are 1 at one node and 0 at all others, one per node."""
-    places = np.array(nodes)
-    ascending = np.argsort(places)
-    return make_interp_spline(places[ascending], np.eye(places.size)[ascending], k=min(3, places.size - 1))
+    return _spline_through(np.array(nodes), np.eye(len(nodes)), 0)
+
+
+def _spline_through(nodes: FloatArray, values: FloatArray, axis: int) -> BSpline:
+    """Interpolating spline of values along ``axis``, cubic or of the highest order that two or more nodes allow."""
+    ascending = np.argsort(nodes)
+    return make_interp_spline(nodes[ascending], values.take(ascending, axis), k=min(3, nodes.size - 1), axis=axis)
+
+
+@dataclass(frozen=True)
+class LocalSplines:
+    """The B-splines in which the splines of :func:`spline_weights` are sums of few terms at each place."""
+
+    knots: FloatArray  #: Shape (n_knots,).
+    order: int  #: Order, 0 for a single node.
+    ends: tuple[float, float]  #: Lowest and highest node, beyond which the value at the end holds.
+
+    @classmethod
+    def fitted(cls, nodes: FloatArray, values: FloatArray, axis: int) -> tuple[LocalSplines, FloatArray]:
+        """The B-splines, and the coefficients of the spline through values of any shape along ``axis``: that shape.
+
+        ``nodes``, shape (n,), are the places of the values along that axis.
+        """
+        ends = float(nodes.min()), float(nodes.max())
+        if nodes.size == 1:
+            return cls(np.array([ends[0], ends[0] + 1.0]), 0, ends), values
+        spline = _spline_through(nodes, values, axis)
+        return cls(spline.t, spline.k, ends), np.moveaxis(spline.c, 0, axis)
+
+    def at(self, places: FloatArray) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """Number of the first nonzero B-spline at places, shape (n,), and the values of all nonzero ones there.
+
+        Shapes (n,) and (n, order + 1).
+        """
+        design = BSpline.design_matrix(np.clip(places, *self.ends), self.knots, self.order)
+        weights = design.data.reshape(places.size, self.order + 1)
+        return design.indices[:: self.order + 1].astype(np.int32), weights.astype(np.float32)
 
 
 def bilinear_on_grid(samples: NDArray[Number], x: FloatArray, y: FloatArray) -> NDArray[Number]:

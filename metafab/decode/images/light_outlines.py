@@ -16,6 +16,7 @@ from scipy.ndimage import watershed_ift
 
 from metafab.decode.images.contrast_outlines import block_sums
 from metafab.decode.images.deconvolution import SharpImages
+from metafab.decode.matching.levels import log_light
 from metafab.decode.matching.pooling import window_maxima
 from metafab.decode.segmentation.fit import across_outlines, connected_moves
 from metafab.decode.segmentation.frame_model import FrameModel
@@ -28,9 +29,8 @@ _REACH_PX = 12
 #: Fall of the misfit, in variances of a pixel, from which it moves. Textures have edges on which the misfit of an
 #: outline is that of the true one within 0.5: there, with 0, 1 % more of the pixels are wrong.
 _CLEARLY = 1.0
-#: Light, over the mean, that is added before its logarithm is taken, and share of the pixels with lesser changes than
-#: the largest that counts.
-_ADDED_LIGHT, _LARGEST_CHANGE = 0.05, 0.995
+#: Share of the pixels with lesser changes than the largest that counts.
+_LARGEST_CHANGE = 0.995
 #: Probability that a moved pixel is right. Where a pixel stays that would move: weights of 1, of its log odds before,
 #: and of the fall of the misfit in those after. Fitted to 14 000 pixels of four natural frames and three others.
 _MOVED_RIGHT, _STAYS_RIGHT = 0.8, (-0.6, 0.6, -0.55)
@@ -86,7 +86,7 @@ def _changes(light: NDArray[np.float32]) -> NDArray[np.uint16]:
 
     Shape (n_y, n_x), in units of its largest.
     """
-    logarithm = np.log(np.maximum(light, 0.0) + np.float32(_ADDED_LIGHT) * light.mean() + np.float32(1e-9))
+    logarithm = log_light(light)
     change = np.sqrt(sum((window_maxima(one, 3) + window_maxima(-one, 3)) ** 2 for one in logarithm))
     largest = max(float(np.quantile(change, _LARGEST_CHANGE)), 1e-9)
     return np.asarray(np.minimum(change / largest, 1.0) * np.iinfo(np.uint16).max, dtype=np.uint16)

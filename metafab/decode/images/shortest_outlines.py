@@ -24,6 +24,7 @@ from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LEAST_RIGHT
 from metafab.decode.images.contrast_outlines import block_sums
 from metafab.decode.images.deconvolution import SharpImages
+from metafab.decode.matching.levels import light_steps
 from metafab.decode.segmentation.fit import across_outlines, connected_moves
 from metafab.decode.segmentation.segments import Regions
 
@@ -36,8 +37,6 @@ _LENGTH_COST, _EDGE = 8.0, 0.3
 #: Deviation of the filter that smooths an outline, downsampled pixels: what bends within less is shortened, what bends
 #: within more, as a disc, keeps its size.
 _SMOOTHED = 12.0
-#: Light, over the mean, that is added before its logarithm is taken.
-_ADDED_LIGHT = 0.05
 #: Least distance from 0 and 1 of the probabilities before.
 _LEAST_DOUBT = 0.05
 #: Weights of 1, of the log odds before and of the logarithm of 1 and the distance from an outline (frame pixels) in the
@@ -95,9 +94,7 @@ def shortest_outlines(regions: Regions, sharp: SharpImages, step: int) -> Region
 
 def _length_cost(light: NDArray[np.float32], lit: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Cost of an outline's length at each pixel, by the change of the light (2, n_y, n_x) to the next: (n_y, n_x)."""
-    logarithm = np.log(np.maximum(light, 0.0) + np.float32(_ADDED_LIGHT) * light.mean() + np.float32(1e-9))
-    rise = [np.diff(logarithm, axis=axis, append=logarithm.take([-1], axis=axis)) for axis in (1, 2)]
-    change = np.sqrt(np.square(rise).sum(axis=(0, 1)))
+    change = np.sqrt(np.square(light_steps(light)).sum(axis=(0, 1)))
     return np.where(lit, _LENGTH_COST * np.exp(-change / _EDGE), 0.0).astype(np.float32)
 
 

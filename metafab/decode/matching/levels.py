@@ -1,4 +1,4 @@
-"""Brightness, noise and texture of a frame: the figures that matched and Wiener filters depend on."""
+"""Brightness, noise and texture of a frame: the figures that matched and Wiener filters depend on; edges of light."""
 
 from __future__ import annotations
 
@@ -19,6 +19,8 @@ _HIGH_PASS = 3.0
 _TEXTURE_CONTRAST = 0.2
 #: Error of the calibration, as a share of the texture: it adds to the noise where there are very many photons.
 _MODEL_ERROR = 0.03
+#: Light, over the mean, that is added before its logarithm is taken.
+_ADDED_LIGHT = 0.05
 
 
 @dataclass(frozen=True)
@@ -65,3 +67,17 @@ class Levels:
 def high_pass(frequency_squared: FloatArray) -> FloatArray:
     """Amplitude of the high-pass at squared frequencies of any shape, (cycles a pixel)^2: 0 to 1, the same shape."""
     return np.asarray(frequency_squared / (frequency_squared + (_HIGH_PASS * LOWEST_FREQUENCY) ** 2))
+
+
+def log_light(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Logarithm of pictures of light, of any shape; a share of their mean is added, so that darkness is even."""
+    return np.asarray(np.log(np.maximum(light, 0.0) + np.float32(_ADDED_LIGHT) * light.mean() + np.float32(1e-9)))
+
+
+def light_steps(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Changes of :func:`log_light` from each pixel to the next along y and along x, 0 for the last ones.
+
+    Shape (2, n_pictures, n_y, n_x), for pictures of shape (n_pictures, n_y, n_x).
+    """
+    logarithm = log_light(light)
+    return np.stack([np.diff(logarithm, axis=axis, append=logarithm.take([-1], axis=axis)) for axis in (1, 2)])

@@ -17,6 +17,7 @@ from metafab.core.conventions import FloatArray
 from metafab.decode.confidence import RIGHT_WITHIN
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import parabolic_peak
+from metafab.decode.matching.levels import light_steps
 from metafab.decode.matching.pooling import window_maxima, window_means
 from metafab.decode.matching.semi_global import summed_costs
 from metafab.decode.segmentation.continuous.local_planes import smoothed_levels
@@ -34,8 +35,6 @@ _EVEN_JUMP, _EDGE_SHARE, _EDGE = 10.0, 0.1, 0.2
 #: Energy of the texture, in variances of the noise of one image, at which a pixel counts by half: noise alone tells no
 #: depths. Without, a plain part of a frame of 500 electrons takes the farthest depth (6.1 in place of 2.8 % off).
 _FAINT = 1.0
-#: Light, over the mean, that is added before its logarithm is taken.
-_ADDED_LIGHT = 0.05
 #: Levels on each side of the least misfit at which its curvature is measured, and least curvature, per squared level.
 _APART, _LEAST_CURVATURE = 2, 5e-3
 #: Standard deviation of the Gaussian of the planes about each pixel, frame pixels, and their tolerance, levels.
@@ -101,9 +100,7 @@ def jump_prices(light: NDArray[np.float32]) -> NDArray[np.float32]:
 
     ``light``, shape (2, n_y, n_x), is that of both images.
     """
-    logarithm = np.log(np.maximum(light, 0.0) + np.float32(_ADDED_LIGHT) * light.mean() + np.float32(1e-9))
-    steps = [np.diff(logarithm, axis=axis, append=logarithm.take([-1], axis=axis)) for axis in (1, 2)]
-    change = np.sqrt(np.square(steps).mean(axis=1))
+    change = np.sqrt(np.square(light_steps(light)).mean(axis=1))
     return np.asarray(_EVEN_JUMP * (_EDGE_SHARE + (1.0 - _EDGE_SHARE) * np.exp(-change / _EDGE)), dtype=np.float32)
 
 
