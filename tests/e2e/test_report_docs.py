@@ -97,6 +97,13 @@ def test_python_compiles(block: str) -> None:
     compile(block, "documentation", "exec")
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_no_line_is_lost_as_a_comment(page: Path) -> None:
+    """MyST takes a line that begins with a per cent sign for a comment, and leaves it out."""
+    lines = page.read_text(encoding="utf-8").splitlines()
+    assert not [number for number, line in enumerate(lines, 1) if line.lstrip().startswith("%")]
+
+
 def test_every_page_is_reached() -> None:
     """No page stands outside the table of contents."""
     listed = set()
