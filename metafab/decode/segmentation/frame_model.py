@@ -68,14 +68,14 @@ class FrameModel:
         if layers is None or not groups:
             return None
         with kept_threads() as pool:
-            shares = [group.first for group in groups]
+            shares = pool.map(lambda group: group.first, groups)
             white: list[NDArray[np.complex64] | None] = [None] * len(groups)
             for _ in range(_ROUNDS):
                 found = pool.map(lambda group, *last: group.model.expected(*last), groups, shares, white)
                 typical = _typical_energy(groups, [one.energy for one in found], len(self.regions.depths))
-                shares = [
-                    group.model.share(one, typical[group.layer]) for group, one in zip(groups, found, strict=True)
-                ]
+                shares = pool.map(
+                    lambda group, one, typical=typical: group.model.share(one, typical[group.layer]), groups, found
+                )
                 white = [one.white for one in found]
         label = layers.label[self.prepared.downsampling.inner]
         owner = label.copy()
