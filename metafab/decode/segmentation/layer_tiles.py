@@ -37,7 +37,7 @@ _GUARD_PX = 12
 #: Relative difference of vergence from which a layer is nearer than another.
 _NEARER = 2e-3
 #: Bytes that a pixel of a tile takes for each layer: transforms of the pair and of the light, shares, masks.
-_BYTES_A_PIXEL = 40
+_BYTES_A_PIXEL = 50
 #: Pairs of a tile and a layer that are computed at once: more leave the cache, fewer take more calls. 4 take a tenth
 #: longer.
 _PAIRS_AT_ONCE = 12
