@@ -12,6 +12,7 @@
 - ``objects``         objects that the segments of textured pixels miss: small ones, plain ones
 - ``segments``        layers of depth, connected segments, the depth of a segment; Regions: all segments of a frame
 - ``assignment``      pixels assigned to planes: segments and their depths
+- ``evidence``        wide plain parts of segments, whose twins show no depth
 - ``surfaces``        the layers, planes or continuous surfaces that fit the pixels' depths best
 - ``regions``         CostVolume and PixelDepth -> Regions: the whole way, with bars, small objects, outlines, doubt
 """

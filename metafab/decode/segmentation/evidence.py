@@ -1,0 +1,90 @@
+"""Evidence of depth: wide parts of a segment whose twins show nothing, and that may be another surface.
+
+Segments are grown over plain parts, and so are continuous surfaces, because most plain parts belong to what is around
+them. A plain object before a textured surface and a plain wall behind a textured object look the same. What tells them
+apart is their size: the twins of a wide part as a whole either show the depth of its segment, or the part has none.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import find_objects
+from scipy.ndimage import label as connected_components
+
+from metafab.core.numeric.distance import distance
+from metafab.decode.confidence import differs
+from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.depth import PixelDepth
+from metafab.decode.matching.pooling import window_means
+from metafab.decode.segmentation.fit import TwinEnergies, surface_window
+from metafab.decode.segmentation.prepared_frame import BLUR_PX, WINDOW_PX, PreparedFrame
+from metafab.decode.segmentation.segments import Regions
+
+#: Energy of the texture, in variances of the noise of one image, at which a pixel of a continuous surface counts by
+#: half, and below which it shows nothing by itself: noise alone tells no depths. Where all pixels count alike, a plain
+#: part of a frame of 500 electrons takes the farthest depth (6.1 in place of 2.8 % off).
+FAINT = 1.0
+#: Sum of the twins' product over a wide part, in standard deviations of that of pure noise, from which the part shows
+#: its segment's depth: noise alone has so much in one of 40 parts.
+_SHOWN = 2.0
+
+
+def texture_energy(prepared: PreparedFrame, volume: CostVolume) -> NDArray[np.float32]:
+    """Energy of the texture about each pixel, in variances of the noise of one image: shape (n_y, n_x).
+
+    That of the filtered twins, which hold no structure slower than some 20 px: a gradient of the light is no texture.
+    """
+    middle = window_means(volume.products[:, volume.vergences_per_m.size // 2], surface_window(prepared))
+    return TwinEnergies.of(middle, prepared, volume.noise_gain).energy
+
+
+def without_evidence(
+    prepared: PreparedFrame, volume: CostVolume, regions: Regions, pixels: PixelDepth
+) -> NDArray[np.bool_]:
+    """Pixels of wide plain parts that do not show the depth of their segment as a whole: shape (n_y, n_x).
+
+    A part is connected, and holds a window's pixels that are farther than a window from all pixels of their segment
+    with its depth. Pixels about it are left out as far as its own were by the windows and the blur.
+
+    Args:
+        prepared: the frame.
+        volume: its cost volume.
+        regions: segments.
+        pixels: depth of each pixel by itself.
+    """
+    step, label = prepared.downsampling.step, regions.grown
+    least, none = WINDOW_PX**2 / step**2, np.zeros(label.shape, dtype=bool)
+    plain = (texture_energy(prepared, volume) < FAINT) & (label > 0) & ~regions.of_outline[label]
+    if np.count_nonzero(plain) < least:
+        return none
+    vergence = np.nan_to_num(regions.vergence_per_m(label), nan=float(volume.vergences_per_m[0]))
+    shows = pixels.claimed & (label > 0) & ~differs(vergence, pixels.vergence_per_m)
+    far = plain & (_away_in_segment(label, shows) * step > WINDOW_PX)
+    if np.count_nonzero(far) < least:
+        return none
+    parts, _ = connected_components(plain)
+    sizes = np.bincount(parts[far], minlength=int(parts.max()) + 1)
+    refused = none
+    of_depth: NDArray[np.float32] | None = None
+    for number in np.flatnonzero(sizes >= least).tolist():
+        if of_depth is None:
+            noise = volume.noise_gain * np.sqrt(prepared.variance[0] * prepared.variance[1])
+            of_depth = (volume.at(vergence[None])[0, 0] / noise).astype(np.float32)
+        core = far & (parts == number)
+        shown = float(of_depth[core].sum(dtype=np.float64)) * np.sqrt(volume.samples / sizes[number])
+        if shown < _SHOWN:
+            refused |= parts == number
+    if not refused.any():
+        return none
+    return np.asarray((distance(refused) <= surface_window(prepared) // 2 + BLUR_PX / step) & (label > 0))
+
+
+def _away_in_segment(label: NDArray[np.int32], shows: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Distance of each pixel from the nearest pixel of its own segment that shows its depth: shape (n_y, n_x)."""
+    away = np.full(label.shape, np.inf, dtype=np.float32)
+    for number, box in enumerate(find_objects(label), start=1):
+        if box is not None:
+            own = label[box] == number
+            np.copyto(away[box], distance(shows[box] & own), where=own)
+    return away
