@@ -32,7 +32,7 @@ from metafab.decode.segmentation.objects.small_objects import SmallObject, small
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.segments import Regions, SegmentDepth, textured_components
+from metafab.decode.segmentation.segments import Regions, SegmentDepth, interior, textured_components
 from metafab.decode.segmentation.surfaces import first_segments
 
 #: Misfit from which a pixel is left out of its segment's depth: 12 samples of noise reach it in one of 10^3 windows.
@@ -43,6 +43,8 @@ _FEW_OUTLIERS, _LEAST_KEPT = 0.01, 0.3
 ROBUST_ROUNDS = 3
 #: Change of a depth, in standard errors, below which its outliers stay the same.
 _SETTLED = 0.25
+#: Share of an interior that is clear of moved outlines below which the segment's depth is measured again.
+_STILL_CLEAR = 0.75
 #: Light of another segment over a segment's own from which that is measured without brighter light: the step at their
 #: outline is then its own light. Last: most segments of a frame that are, one cost volume each.
 _BRIGHTER, _MOST_DIM = 2.0, 4
@@ -105,7 +107,7 @@ def find_regions(
     step, refused = prepared.downsampling.step, np.zeros(regions.grown.shape, dtype=bool)
     if optics is not None:
         regions, refused = with_bars(regions, prepared, volume, optics)
-        regions = with_modelled_outlines(prepared, regions, optics)
+        regions = clear_of_moved_outlines(with_modelled_outlines(prepared, regions, optics), volume, step)
     label = regions.grown
 
     def misfit_of(number: NDArray[np.int32], model_error: float | None = None) -> Misfit:
@@ -171,6 +173,28 @@ def with_modelled_outlines(prepared: PreparedFrame, regions: Regions, optics: La
         model = FrameModel(prepared, regions.without(false), optics)
     owner = model.owners()
     return model.regions if owner is None else model.regions.with_owners(owner)
+
+
+def clear_of_moved_outlines(regions: Regions, volume: CostVolume, step: int) -> Regions:
+    """Measure the depths of segments again whose interiors moved outlines have come near to.
+
+    Beside an outline, the pair mixes the depths of both sides. A small object grows over that mixture at first: its
+    interior holds its true outline.
+
+    Args:
+        regions: segments with moved outlines, and interiors of the outlines before.
+        volume: cost volume.
+        step: frame pixels from one downsampled pixel to the next.
+    """
+    inside, depths = regions.interior.copy(), list(regions.depths)
+    for number in range(1, len(depths) + 1):
+        own = regions.interior == number
+        clear = own & interior(regions.grown, number, step)
+        if clear.sum() < _STILL_CLEAR * own.sum():
+            inside[own & ~clear] = 0
+            cells = Cells.of(volume, clear, step)
+            depths[number - 1] = measured_again(volume, cells, depths[number - 1], depths[number - 1].pixels, step)
+    return replace(regions, depths=tuple(depths), interior=inside)
 
 
 def with_small_objects(regions: Regions, found: Sequence[SmallObject], volume: CostVolume) -> Regions:
