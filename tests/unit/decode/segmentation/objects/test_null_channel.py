@@ -12,7 +12,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.decode.matching.levels import LOWEST_FREQUENCY
-from metafab.decode.segmentation.objects.null_channel import WINDOW, NullChannel, RectangleEvidence
+from metafab.decode.segmentation.objects.null_channel import WINDOW, NullChannel, ShapeEvidence
 
 STEP, UNIT = 3, 500.0
 #: Prior of the texture and of the mean intensities, over the surface's light.
@@ -80,13 +80,13 @@ def dense_evidence(channel: Channel, vergence_per_m: float) -> float:
 @pytest.mark.parametrize("vergence_per_m", [250.0, 400.0])
 def test_the_evidence_is_that_of_a_gaussian_process(vergence_per_m: float) -> None:
     channel = channel_of(scipy.fft.rfft2(np.random.default_rng(7).normal(0.0, 60.0, (WINDOW, WINDOW))))
-    evidence = RectangleEvidence(channel)
+    evidence = ShapeEvidence(channel)
     first = evidence.at(vergence_per_m, RECTANGLE, LIGHT)
     # The sums over the sides' points are good to 1e-7.
     assert first == pytest.approx(dense_evidence(channel, vergence_per_m), rel=1e-5)
     # Other places, depths and contrasts asked in between change nothing.
     evidence.at(1.1 * vergence_per_m, RECTANGLE + 0.5, LIGHT[::-1])
-    assert RectangleEvidence(channel).at(vergence_per_m, RECTANGLE, LIGHT) == first
+    assert ShapeEvidence(channel).at(vergence_per_m, RECTANGLE, LIGHT) == first
     assert evidence.at(vergence_per_m, RECTANGLE, LIGHT) == first
 
 
@@ -95,7 +95,7 @@ def test_the_light_of_a_rectangle_is_found_and_leaves_nothing() -> None:
     empty = channel_of(np.zeros((WINDOW, WINDOW // 2 + 1), complex), noise=0.1)
     along_y, along_x = side_transforms()
     spectrum = (empty.response(vergence_per_m) * levels[:, None, None]).sum(axis=0) * np.outer(along_y, along_x)
-    evidence = RectangleEvidence(channel_of(spectrum, noise=0.1))
+    evidence = ShapeEvidence(channel_of(spectrum, noise=0.1))
     light = evidence.light(vergence_per_m, RECTANGLE, LIGHT)
     assert light == pytest.approx(1.0 + levels / UNIT, abs=0.01)
     assert evidence.left(vergence_per_m, RECTANGLE, LIGHT).max() < 0.05
