@@ -60,24 +60,30 @@ def without_evidence(
         return none
     vergence = np.nan_to_num(regions.vergence_per_m(label), nan=float(volume.vergences_per_m[0]))
     shows = pixels.claimed & (label > 0) & ~differs(vergence, pixels.vergence_per_m)
-    far = plain & (_away_in_segment(label, shows) * step > WINDOW_PX)
-    if np.count_nonzero(far) < least:
-        return none
+    far = (label > 0) & (_away_in_segment(label, shows) * step > WINDOW_PX)
     parts, _ = connected_components(plain)
     sizes = np.bincount(parts[far], minlength=int(parts.max()) + 1)
-    refused = none
-    of_depth: NDArray[np.float32] | None = None
-    for number in np.flatnonzero(sizes >= least).tolist():
-        if of_depth is None:
-            noise = volume.noise_gain * np.sqrt(prepared.variance[0] * prepared.variance[1])
-            of_depth = (volume.at(vergence[None])[0, 0] / noise).astype(np.float32)
-        core = far & (parts == number)
-        shown = float(of_depth[core].sum(dtype=np.float64)) * np.sqrt(volume.samples / sizes[number])
+    wide = 1 + np.flatnonzero(sizes[1:] >= least)
+    if not wide.size:
+        return none
+    noise = volume.noise_gain * np.sqrt(prepared.variance[0] * prepared.variance[1])
+    product, refused = volume.at(vergence[None])[0, 0] / noise, none
+    for number in wide.tolist():
+        # With the specks in it that show something: plain pixels alone are chosen for what they lack.
+        core = far & closed(parts == number, surface_window(prepared))
+        shown = product[core].sum(dtype=np.float64) * np.sqrt(volume.samples / np.count_nonzero(core))
         if shown < _SHOWN:
             refused |= parts == number
     if not refused.any():
         return none
     return np.asarray((distance(refused) <= surface_window(prepared) // 2 + BLUR_PX / step) & (label > 0))
+
+
+def closed(mask: NDArray[np.bool_], reach: int) -> NDArray[np.bool_]:
+    """Morphological closing of a mask, shape (n_y, n_x), by a disc of ``reach`` pixels."""
+    room = np.pad(mask, reach + 1)
+    inner = distance(distance(room) > reach) > reach
+    return inner[reach + 1 : -reach - 1, reach + 1 : -reach - 1]
 
 
 def _away_in_segment(label: NDArray[np.int32], shows: NDArray[np.bool_]) -> NDArray[np.float32]:
