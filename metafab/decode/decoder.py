@@ -30,8 +30,8 @@ from metafab.decode.matching.levels import Levels
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import repeated
 from metafab.decode.registration.twins import TwinGrid
-from metafab.decode.segmentation.evidence import without_evidence
 from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.objects.plain_parts import without_evidence
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth

@@ -21,8 +21,7 @@ from metafab.decode.matching.levels import light_steps
 from metafab.decode.matching.pooling import window_maxima
 from metafab.decode.matching.semi_global import summed_costs
 from metafab.decode.segmentation.continuous.local_planes import smoothed_levels
-from metafab.decode.segmentation.evidence import FAINT, texture_energy
-from metafab.decode.segmentation.fit import log_misfit, surface_window
+from metafab.decode.segmentation.fit import FAINT, log_misfit, surface_window, texture_energy
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Levels of vergence of a surface to a candidate depth.

@@ -135,7 +135,8 @@ def test_an_interior_beside_a_moved_outline_is_measured_again() -> None:
         inside = sum(number * interior(wide, number, step) for number in (1, 2)).astype(np.int32)
         far, near = (measured_depth(volume, Cells.of(volume, inside == k, step), Plane(330.0)) for k in (1, 2))
         assert far is not None and near is not None
-        again = clear_of_moved_outlines(Regions(2, (far, near), label, inside, label), volume, step)
+        moved, first = (Regions(2, (far, near), label, inside, one) for one in (label, wide))
+        again = clear_of_moved_outlines(moved, first, volume, step)
         assert again.depths[0] is far  # hardly nearer to its outline
         for errors, depth in ((before, near), (after, again.depths[1])):
             errors.append(abs(1.0 / depth.vergence_per_m / 0.0027 - 1.0))

@@ -1,4 +1,4 @@
-"""Evidence of depth: wide parts of a segment whose twins show nothing, and that may be another surface.
+"""Wide plain parts of a segment, whose twins show nothing, and that may be another surface.
 
 Segments are grown over plain parts, and so are continuous surfaces, because most plain parts belong to what is around
 them. A plain object before a textured surface and a plain wall behind a textured object look the same. What tells them
@@ -16,27 +16,13 @@ from metafab.core.numeric.distance import distance
 from metafab.decode.confidence import differs
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
-from metafab.decode.matching.pooling import window_means
-from metafab.decode.segmentation.fit import TwinEnergies, surface_window
+from metafab.decode.segmentation.fit import FAINT, surface_window, texture_energy
 from metafab.decode.segmentation.prepared_frame import BLUR_PX, WINDOW_PX, PreparedFrame
 from metafab.decode.segmentation.segments import Regions
 
-#: Energy of the texture, in variances of the noise of one image, at which a pixel of a continuous surface counts by
-#: half, and below which it shows nothing by itself: noise alone tells no depths. Where all pixels count alike, a plain
-#: part of a frame of 500 electrons takes the farthest depth (6.1 in place of 2.8 % off).
-FAINT = 1.0
 #: Sum of the twins' product over a wide part, in standard deviations of that of pure noise, from which the part shows
 #: its segment's depth: noise alone has so much in one of 40 parts.
 _SHOWN = 2.0
-
-
-def texture_energy(prepared: PreparedFrame, volume: CostVolume) -> NDArray[np.float32]:
-    """Energy of the texture about each pixel, in variances of the noise of one image: shape (n_y, n_x).
-
-    That of the filtered twins, which hold no structure slower than some 20 px: a gradient of the light is no texture.
-    """
-    middle = window_means(volume.products[:, volume.vergences_per_m.size // 2], surface_window(prepared))
-    return TwinEnergies.of(middle, prepared, volume.noise_gain).energy
 
 
 def without_evidence(
