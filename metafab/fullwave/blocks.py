@@ -33,7 +33,7 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.limits import beyond, limit
 from metafab.fullwave.written import site_cell
 from metafab.library import Library
-from metafab.library.neighbours import solve_supercell
+from metafab.library.neighbours import has_joint_effect, solve_supercell
 from metafab.spec.fields import CONFIG, NonNegative
 from metafab.spec.toml import validate
 
@@ -134,7 +134,8 @@ def solve_blocks(
         supercells: pillars in the library's unit cell.
         library: library for ``lone`` and ``model``.
         numerics: numerics of ``rcwa`` and ``meep``.
-        executor: runs ``rcwa`` in parallel; by default this process.
+        executor: runs ``rcwa`` in parallel, and ``model`` where it solves joint effects of blocks; by default this
+            process.
         pool: workers of Meep; by default one that lives as long as this process.
 
     Raises:
@@ -148,7 +149,9 @@ def solve_blocks(
         "meep": partial(refined_orders, pixels_per_period=numerics.pixels_per_period, pool=pool, progress=progress),
         "model": partial(solve_supercell, library),
     }
-    runner = executor if executor is not None and solver == "rcwa" else SerialExecutor()
+    # Chains and look-ups take milliseconds, less than a process takes to start; Meep has workers of its own.
+    is_slow = solver == "rcwa" or (solver == "model" and any(map(has_joint_effect, supercells)))
+    runner = executor if executor is not None and is_slow else SerialExecutor()
     for done, found in enumerate(in_order(runner, solve[solver], supercells), start=1):
         progress("supercells", done, len(supercells))
         yield found

@@ -8,5 +8,6 @@
 - ``chebyshev``       interpolation between Chebyshev points
 - ``phasor``          exp(i phase) of many phases
 - ``spectra``         discrete Fourier transforms of kernels and filters
+- ``conjugate_gradients``  their passes over the transforms of many pictures
 - ``distance``        exact Euclidean distance transform
 """

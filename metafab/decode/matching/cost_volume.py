@@ -86,6 +86,29 @@ def correlation(products: np.ndarray) -> np.ndarray:
     return np.asarray(products[0] / np.maximum(norm, 1e-15))
 
 
+def correlation_less(products: NDArray[np.float32], penalty: NDArray[np.float32]) -> NDArray[np.float32]:
+    """:func:`correlation` of the products, shape (3, n, n_y, n_x), less a penalty: one pass over memory.
+
+    The penalty and the result have the shape (n, n_y, n_x).
+    """
+    out = np.empty(penalty.shape, dtype=np.float32)
+    spread(_correlation_less, penalty.shape[1], products, penalty, out)
+    return out
+
+
+@compiled
+def _correlation_less(
+    first: int, stop: int, products: NDArray[np.float32], penalty: NDArray[np.float32], out: NDArray[np.float32]
+) -> None:
+    least, zero = np.float32(1e-15), np.float32(0.0)
+    for k in range(out.shape[0]):
+        for i in range(first, stop):
+            both, x, y, less, to = products[0, k, i], products[1, k, i], products[2, k, i], penalty[k, i], out[k, i]
+            for j in range(to.size):
+                norm = np.sqrt(max(x[j], zero)) * np.sqrt(max(y[j], zero))
+                to[j] = both[j] / max(norm, least) - less[j]
+
+
 @lru_cache(maxsize=4)
 def _fine_weights(nodes: tuple[float, ...]) -> NDArray[np.float32]:
     """Spline weights of the candidates at depths between them: shape (n, n_steps)."""

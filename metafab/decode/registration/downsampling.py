@@ -124,14 +124,17 @@ def relative_slices(part: tuple[slice, slice], surroundings: tuple[slice, slice]
     return rows, columns
 
 
-def blocks_with(mask: NDArray[np.bool_], block: tuple[int, int], counts: tuple[int, int]) -> NDArray[np.bool_]:
-    """Whether each block of pixels holds a pixel of a mask of shape (n_y, n_x): shape ``counts``.
+def blocks_with(
+    mask: NDArray[np.bool_], block: tuple[int, int], counts: tuple[int, int], least: int = 1
+) -> NDArray[np.bool_]:
+    """Whether each block of pixels holds at least ``least`` pixels of a mask of shape (n_y, n_x): shape ``counts``.
 
     ``block`` is (rows, columns) of a block, ``counts`` (rows, columns) of blocks; together they hold the mask.
     """
     whole = np.zeros((counts[0] * block[0], counts[1] * block[1]), dtype=bool)
     whole[: mask.shape[0], : mask.shape[1]] = mask
-    return np.asarray(whole.reshape(counts[0], block[0], counts[1], block[1]).any(axis=(1, 3)))
+    blocks = whole.reshape(counts[0], block[0], counts[1], block[1])
+    return np.asarray(blocks.any(axis=(1, 3)) if least == 1 else np.count_nonzero(blocks, axis=(1, 3)) >= least)
 
 
 def enlarged(values: NDArray[Any], step: int, shape: tuple[int, int]) -> NDArray[Any]:

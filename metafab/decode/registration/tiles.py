@@ -120,6 +120,12 @@ class Tiling:
         """Numbers of the tiles whose cores hold a pixel of ``mask`` (n_y, n_x): shape (n,)."""
         return np.flatnonzero(blocks_with(mask, self.core, self.counts))
 
+    def in_many(self, mask: NDArray[np.bool_], least: int) -> NDArray[np.bool_]:
+        """Pixels of ``mask`` (n_y, n_x) in the cores that hold at least ``least`` of them: the same shape."""
+        blocks = blocks_with(mask, self.core, self.counts, least)
+        pixels = blocks.repeat(self.core[0], axis=0).repeat(self.core[1], axis=1)
+        return np.asarray(mask & pixels[: mask.shape[0], : mask.shape[1]])
+
 
 @compiled
 def _labels_in_cores(

@@ -46,7 +46,7 @@ class LayerLight:
         n_y, n_kx = self.texture.shape
         return n_y, 2 * (n_kx - 1)
 
-    @property
+    @cached_property
     def starts(self) -> NDArray[np.intp]:
         """First pair of each tile, shape (n_tiles,)."""
         return np.searchsorted(self.of_tile, np.arange(self.of_tile[-1] + 1))
@@ -57,7 +57,7 @@ class LayerLight:
         ``light``: its transforms, shape (n_pairs, n_ky, n_kx).
         """
         images = np.zeros((self.of_tile[-1] + 1, *self.transfer.shape[1:]), dtype=np.complex64)
-        _add_blurred(light, self.transfer, self.of_tile, images)
+        add_blurred(light, self.transfer, self.of_tile, images)
         return self.pictures(images)
 
     def adjoint(self, images: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -217,7 +217,7 @@ def texture_amplitude(size: tuple[int, int], step: int) -> NDArray[np.float32]:
 
 
 @compiled
-def _add_blurred(
+def add_blurred(
     spectra: NDArray[np.complex64],
     transfer: NDArray[np.complex64],
     of_tile: NDArray[np.intp],

@@ -17,7 +17,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.distance import box_about, distance, nearest
 from metafab.core.parallel.executor import spread
-from metafab.decode.matching.cost_volume import CostVolume, correlation
+from metafab.decode.matching.cost_volume import CostVolume, correlation, correlation_less
 from metafab.decode.matching.depth import PixelDepth, parabolic_peak, spline_peaks, standard_error
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.outlines import ROUNDS, refined_outlines
@@ -258,7 +258,7 @@ def assign_layers(
     difference = np.abs(pixels.vergence_per_m.astype(np.float32) - vergence.astype(np.float32))
     penalty = np.float32(0.05) * np.minimum(difference / np.float32(separation_per_m), np.float32(4.0))
     wide, narrow = (
-        (correlation(window_means(products, px // step | 1)) - penalty).astype(np.float32)
+        correlation_less(window_means(products, px // step | 1), penalty)
         for px in (_ASSIGNMENT_WINDOW_PX, _OUTLINE_WINDOW_PX)
     )
     wide = window_means(wide, 3)

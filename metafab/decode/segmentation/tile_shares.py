@@ -13,8 +13,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.numeric.conjugate_gradients import advance, inner_products, parts, precondition, turn, twice
 from metafab.decode.matching.filter_basis import frequencies
-from metafab.decode.segmentation.layer_light import LayerLight
+from metafab.decode.segmentation.layer_light import LayerLight, add_blurred
 
 #: Steps of conjugate gradients in a round, and for a misfit, whose differences settle more slowly.
 _STEPS, _MISFIT_STEPS = 3, 6
@@ -60,8 +61,9 @@ class TileLayers:
         """The light given the shares (n_pairs, n_y, n_x), from the whitened textures of the last round."""
         cover = _Cover.of(self, share)
         white, _ = self._light_given(cover, start, _STEPS)
-        square = self.optics.pictures(white.copy()) ** 2
-        energy = self.optics.pictures(self._pooling * self.optics.spectra(square)) + np.float32(_LEAST_ENERGY)
+        spectra = self.optics.spectra(self.optics.pictures(white.copy()) ** 2)
+        parts(spectra)[...] *= self._pooling
+        energy = self.optics.pictures(spectra) + np.float32(_LEAST_ENERGY)
         presence = cover.extent * np.minimum(np.float32(1.0), np.float32(_OPEN) * cover.open_share)
         return ExpectedLight(white, energy, presence)
 
@@ -77,9 +79,10 @@ class TileLayers:
 
     @cached_property
     def _pooling(self) -> NDArray[np.float32]:
-        """Transfer function of the Gaussian over which energy is pooled."""
+        """Transfer function of the Gaussian over which energy is pooled, each value twice: shape (n_ky, 2 n_kx)."""
         ky, kx = frequencies(self.optics.size, 1)
-        return np.asarray(np.exp(-2.0 * (np.pi * self.pooled) ** 2 * (ky[:, None] ** 2 + kx**2)), dtype=np.float32)
+        gaussian = np.exp(-2.0 * (np.pi * self.pooled) ** 2 * (ky[:, None] ** 2 + kx**2))
+        return twice(gaussian.astype(np.float32))
 
     def share(self, found: ExpectedLight, typical: NDArray[np.float32]) -> NDArray[np.float32]:
         """Shares given the light, shape (n_pairs, n_y, n_x); their sum is 1 at pixels of a segment.
@@ -101,52 +104,54 @@ class TileLayers:
         optics, of_tile = self.optics, self.optics.of_tile
         light, seen = self.light[of_tile], cover.extent * cover.open_share
         spread = np.float32(_TEXTURE) * light * np.sqrt(seen)
+        white = np.zeros(optics.transfer[:, 0].shape, dtype=np.complex64) if start is None else start.copy()
+        direction, textured = np.zeros_like(white), np.empty_like(white)
+        sums = np.empty((of_tile.size, 2 * white.shape[2]), dtype=np.float32)
+        joined = len(self.images), -1, self.images.shape[-1]  # both images of a tile as one
 
-        def textured(white: NDArray[np.complex64]) -> NDArray[np.float32]:
-            picture = optics.pictures(optics.texture * white)
+        def blurred(texture: NDArray[np.complex64]) -> NDArray[np.float32]:
+            """Weighted images of the textures."""
+            picture = optics.pictures(texture)
             picture *= spread
-            return picture
+            images = optics.rendered(optics.spectra(picture))
+            images *= self.weight
+            return images
 
-        def gradient(residual: NDArray[np.float32], white: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        def descent(residual: NDArray[np.float32]) -> tuple[NDArray[np.complex64], NDArray[np.float32]]:
+            """Preconditioned descent, and its squared length in each tile."""
             picture = optics.adjoint(self.weight * residual)
             picture *= spread
             spectra = optics.spectra(picture)
-            spectra *= optics.texture
-            spectra -= white
-            return spectra
+            precondition(parts(spectra), self._texture, parts(white), self._inverse, sums)
+            return spectra, self._length(sums)
 
         seen *= light
-        if start is None:
-            white = np.zeros(optics.transfer[:, 0].shape, dtype=np.complex64)
-        else:
-            white = start.copy()
-            seen += textured(white)
-        residual = self.weight * (self.images - optics.rendered(optics.spectra(seen)) - self._balance(cover))
-        descent = gradient(residual, white)
-        scaled = self._inverse * descent
-        direction, norm = scaled, self._dot(descent, scaled)
+        residual = self.images - optics.rendered(optics.spectra(seen))
+        residual -= self._balance(cover)
+        residual *= self.weight
+        if start is not None:
+            np.multiply(parts(start), self._texture, out=parts(textured))
+            residual -= blurred(textured)
+        scaled, norm = descent(residual)
+        ratio = np.zeros_like(norm)
         for step in range(steps):
-            change = optics.rendered(optics.spectra(textured(direction)))
-            change *= self.weight
-            curvature = np.einsum("tiyx,tiyx->t", change, change) + self._dot(direction, direction)
-            length = (norm / np.maximum(curvature, np.float32(1e-30))).astype(np.float32)
-            white += length[of_tile, None, None] * direction
-            residual -= length[:, None, None, None] * change
+            turn(parts(scaled), ratio[of_tile], parts(direction), self._texture, parts(textured), sums)
+            change = blurred(textured)
+            curvature = np.einsum("tiyx,tiyx->t", change, change) + self._length(sums)
+            length = norm / np.maximum(curvature, np.float32(1e-30))
+            advance(parts(white), length[of_tile], parts(direction))
+            advance(residual.reshape(joined), -length, change.reshape(joined))
             if step == steps - 1:
                 break
-            descent = gradient(residual, white)
-            scaled = self._inverse * descent
-            before, norm = norm, self._dot(descent, scaled)
-            ratio = (norm / np.maximum(before, np.float32(1e-30))).astype(np.float32)
-            direction = scaled + ratio[of_tile, None, None] * direction
+            before = norm
+            scaled, norm = descent(residual)
+            np.divide(norm, np.maximum(before, np.float32(1e-30)), out=ratio)
         return white, residual
 
-    def _dot(self, one: NDArray[np.complex64], other: NDArray[np.complex64]) -> NDArray[np.float32]:
-        """Inner product of two pictures by their transforms, summed over the layers of each tile: shape (n_tiles,)."""
-        product = np.einsum("pyx,pyx->px", one.view(np.float32), other.view(np.float32))
-        product[:, 2:-2] *= 2.0  # the other half plane
+    def _length(self, sums: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Squared length in each tile, shape (n_tiles,), of sums over ky, shape (n_pairs, 2 n_kx)."""
         rows, columns = self.optics.size
-        return np.asarray(np.add.reduceat(product.sum(axis=1), self.optics.starts) / np.float32(rows * columns))
+        return inner_products(sums, self.optics.starts, rows * columns)
 
     def _balance(self, cover: _Cover) -> NDArray[np.float32]:
         """Light that the images gain where layers hide each other, so that radiance stays: their shape.
@@ -154,35 +159,50 @@ class TileLayers:
         A layer behind sends it by its whole light, what others hide of it included, as in the camera
         (:mod:`metafab.camera.rendering.lens`): by the visible part alone, images of even light have seams of 8 %.
         """
-        optics, gained = self.optics, np.zeros_like(self.images)
-        if self.hidden.size:
-            whole = optics.spectra(cover.extent[self.hidden] * self.light[optics.of_tile[self.hidden]])
-            transfer, blur = optics.transfer, optics.transfer / self.gains[:, :, None, None]
-            gain = cover.covered[:, None] * blur[self.hidden]
-            for pair, nearer, _ in self.hiding:
-                gain[np.searchsorted(self.hidden, pair)] -= cover.spectra[nearer] * blur[nearer]
+        optics, hidden, gained = self.optics, self.hidden, np.zeros_like(self.images)
+        if hidden.size:
+            transfer = optics.transfer[hidden]
+            gain = np.zeros_like(transfer)
+            add_blurred(
+                cover.spectra, self._balancing, np.searchsorted(hidden, [pair for pair, _, _ in self.hiding]), gain
+            )
+            transfer *= optics.spectra(cover.extent[hidden] * self.light[optics.of_tile[hidden]])[:, None]
             added = optics.pictures(gain)
-            added *= optics.pictures(whole[:, None] * transfer[self.hidden])
-            for tile, one in zip(self.optics.of_tile[self.hidden].tolist(), added, strict=True):
+            added *= optics.pictures(transfer)
+            for tile, one in zip(optics.of_tile[hidden].tolist(), added, strict=True):
                 gained[tile] += one
         return gained
 
     @cached_property
+    def _balancing(self) -> NDArray[np.complex64]:
+        """What a share of a nearer pair adds to the factor on a hidden one's light, as :attr:`hiding` lists them.
+
+        Shape (n_hiding, 2, n_ky, n_kx): the blur of the hidden pair where the nearer one covers its aperture, without
+        that of the nearer one.
+        """
+        blur = (parts(self.optics.transfer) / self.gains[:, :, None, None]).view(np.complex64)
+        return np.stack([aperture * blur[pair] - blur[nearer] for pair, nearer, aperture in self.hiding])
+
+    @cached_property
     def _inverse(self) -> NDArray[np.float32]:
-        """Inverse of the curvature of each frequency of each pair, for its typical light and noise."""
+        """Inverse of the curvature of each frequency, for typical light and noise, twice: (n_pairs, n_ky, 2 n_kx)."""
         known = (self.light * self.weight.mean(axis=1))[self.optics.of_tile]
         total = np.maximum(self.allowed.sum(axis=(1, 2)), 1)
         ratio = _TEXTURE * (known * self.allowed).sum(axis=(1, 2)) / total
         power = (ratio**2)[:, None, None] * self.optics.texture**2 * self.optics.power
-        return np.asarray(1.0 / (1.0 + power), dtype=np.float32)
+        return twice(np.asarray(1.0 / (1.0 + power), dtype=np.float32))
+
+    @cached_property
+    def _texture(self) -> NDArray[np.float32]:
+        """Amplitude of textures, each value twice: shape (n_ky, 2 n_kx)."""
+        return twice(self.optics.texture)
 
 
 @dataclass(frozen=True)
 class _Cover:
     """What the shares of layers cover. A layer continues behind nearer ones."""
 
-    spectra: NDArray[np.complex64]  # (n_pairs, n_ky, n_kx), transforms of the shares
-    covered: NDArray[np.complex64]  # (n_hidden, n_ky, n_kx), transforms of the covered share of the aperture
+    spectra: NDArray[np.complex64]  # (n_hiding, n_ky, n_kx), transforms of the nearer pairs' shares
     extent: NDArray[np.float32]  # (n_pairs, n_y, n_x), share of each pixel that a layer fills, seen or hidden
     open_share: NDArray[np.float32]  # (n_pairs, n_y, n_x), share of the aperture that sees it there
 
@@ -190,14 +210,16 @@ class _Cover:
     def of(cls, tiles: TileLayers, share: NDArray[np.float32]) -> _Cover:
         """The cover by shares of shape (n_pairs, n_y, n_x)."""
         optics, hidden = tiles.optics, tiles.hidden
-        open_share, extent, spectra = np.ones_like(share), share.copy(), optics.spectra(share)
-        covered = np.zeros((hidden.size, *spectra.shape[1:]), dtype=np.complex64)
-        nearer = np.zeros((hidden.size, *share.shape[1:]), dtype=np.float32)
-        for pair, one, aperture in tiles.hiding:
-            index = np.searchsorted(hidden, pair)
-            covered[index] += spectra[one] * aperture
-            nearer[index] += share[one]
+        nearer, index = np.unique([one for _, one, _ in tiles.hiding], return_inverse=True)
+        open_share, extent = np.ones_like(share), share.copy()
+        spectra = optics.spectra(share[nearer.astype(np.intp)])[index]
         if hidden.size:
-            open_share[hidden] = np.clip(np.float32(1.0) - optics.pictures(covered.copy()), 0.0, 1.0)
-            extent[hidden] = np.minimum(extent[hidden] + nearer * tiles.behind[hidden], np.float32(1.0))
-        return cls(spectra, covered, extent, open_share)
+            covered = np.zeros((hidden.size, *spectra.shape[1:]), dtype=np.complex64)
+            before = np.zeros((hidden.size, *share.shape[1:]), dtype=np.float32)
+            for (pair, one, aperture), spectrum in zip(tiles.hiding, spectra, strict=True):
+                at = np.searchsorted(hidden, pair)
+                covered[at] += spectrum * aperture
+                before[at] += share[one]
+            open_share[hidden] = np.clip(np.float32(1.0) - optics.pictures(covered), 0.0, 1.0)
+            extent[hidden] = np.minimum(extent[hidden] + before * tiles.behind[hidden], np.float32(1.0))
+        return cls(spectra, extent, open_share)

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +15,7 @@ import pytest
 from metafab.cell import pillar_cell
 from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.errors import InputError
+from metafab.core.parallel.executor import SerialExecutor
 from metafab.fullwave.blocks import Solver, read_blocks, solve_blocks
 from metafab.library import Library
 from tests.fake_meep import UncoupledPillars, response
@@ -84,3 +88,25 @@ def test_fdtd_solves_both_polarisations_on_all_grids(smooth_library: Library) ->
     for axis in range(2):
         np.testing.assert_allclose(found.t[:, axis, axis], expected, atol=1e-6)
     assert found.error < 1e-6
+
+
+class CountedCalls(SerialExecutor):
+    """Executor that counts the calls which it gets, and does none of them."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        self.calls += 1
+        return super().submit(lambda: None)
+
+
+def test_workers_solve_blocks_by_the_model_but_no_rows(smooth_library: Library) -> None:
+    cell, rng = pillar_cell(smooth_library.unit_cell, 0.0, 0.0), np.random.default_rng(1)
+    rows, blocks = ([Supercell(cell, rng.uniform(100.0, 250.0, (n_y, 3, 2))) for _ in range(4)] for n_y in (1, 2))
+    executor = CountedCalls()
+    assert list(solve_blocks(blocks, smooth_library, "model", executor=executor)) == 4 * [None]
+    assert executor.calls == 4
+    with pytest.raises(InputError, match="model of neighbours"):  # in this process
+        list(solve_blocks(rows, smooth_library, "model", executor=executor))
+    assert executor.calls == 4

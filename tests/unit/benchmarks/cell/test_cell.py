@@ -76,7 +76,7 @@ def test_missing_peers_are_rows_that_say_so(
     monkeypatch.setenv("METAFAB_PEERS_PYTHON", _interpreter(tmp_path, "echo no such package >&2; exit 1"))
     table = benchmark["_peers"](True)
     assert {row["name"]: row["skipped"] for row in table[:-1]} == dict.fromkeys(
-        ("fmmax", "meent", "grcwa", "torcwa", "inkstone", "nannos"), "no such package"
+        ("fmmax", "meent", "grcwa", "torcwa", "inkstone", "nannos", "torchrdit"), "no such package"
     )
     assert all(row["error"] is row["seconds"] is None for row in table)
     assert table[-1]["name"] == "S4"
@@ -98,7 +98,7 @@ def test_answers_become_errors_and_ratios(
     assert row["ours_faster"] > row["ours_certified_faster"] > 100.0
 
 
-@pytest.mark.parametrize("name", ["fmmax", "meent", "grcwa", "torcwa", "inkstone", "nannos"])
+@pytest.mark.parametrize("name", ["fmmax", "meent", "grcwa", "torcwa", "inkstone", "nannos", "torchrdit"])
 def test_installed_peers_share_our_conventions(benchmark: dict[str, Any], name: str) -> None:
     """A film that fills the cell: every code is exact, and ours equals the closed form."""
     answers, complaint = benchmark["ask_peer"](name, [FILM], 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metafab.decode.matching.cost_volume import CostVolume, correlation
+from metafab.decode.matching.cost_volume import CostVolume, correlation, correlation_less
 
 
 def test_a_volume_between_its_candidates() -> None:
@@ -31,3 +31,12 @@ def test_correlation_is_blind_to_contrast() -> None:
     for ratio in (0.1, 1.0, 7.0):
         b = ratio * a
         assert correlation(np.array([(a * b).sum(), (a * a).sum(), (b * b).sum()])) == pytest.approx(1.0)
+
+
+def test_scores_are_the_correlation_less_a_penalty() -> None:
+    """Without light in one of the twins, too."""
+    rng = np.random.default_rng(7)
+    products = rng.uniform(0.1, 1.0, size=(3, 2, 5, 6)).astype(np.float32)
+    products[:, 0, 0, 0] = 0.0
+    penalty = rng.uniform(size=(2, 5, 6)).astype(np.float32)
+    assert np.allclose(correlation_less(products, penalty), correlation(products) - penalty, rtol=0.0, atol=1e-6)

@@ -38,3 +38,14 @@ def test_only_touched_tiles_are_cut() -> None:
     label = np.random.default_rng(2).integers(0, 3, (40, 60), dtype=np.int32)
     want = [(tile, k) for tile in range(tiling.n_tiles) for k in np.unique(label[tiling.place(tile)]).tolist() if k > 0]
     assert tiling.labels_of_tiles(label, 4) == want
+
+
+def test_lone_pixels_are_left_out() -> None:
+    """Of three in one tile and one in the next, the three stay; the tiles' cores reach beyond the window."""
+    tiling = Tiling.over((10, 14), 2, (6, 6))
+    mask = np.zeros((10, 14), dtype=bool)
+    mask[0, :3] = mask[9, 13] = True
+    expected = mask.copy()
+    expected[9, 13] = False
+    assert (tiling.in_many(mask, 2) == expected).all()
+    assert (tiling.in_many(mask, 1) == mask).all()

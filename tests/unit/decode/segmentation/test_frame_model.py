@@ -43,7 +43,8 @@ def test_the_texture_of_a_corner_is_not_that_of_its_layer() -> None:
     labelled, alone = np.ones((2, 10, 10), dtype=bool), np.zeros((2, 10, 10), dtype=bool)
     alone[0, 8:], alone[1, 2:] = True, True
     model = cast(TileLayers, None)
-    group = TileGroup([0], np.array([0, 1]), model, energy, labelled, alone)
+    group = TileGroup([0], np.array([0, 1]), model, energy, labelled)
+    vars(group)["alone"] = alone
     assert frame_model._typical_energy([group], [energy], 3).tolist() == [1.0, 1.0, 1.0]
     energy[1, :6] = 2.0  # three quarters of its pixels away from outlines
     assert frame_model._typical_energy([group], [energy], 3).tolist() == [1.0, 2.0, 1.0]
