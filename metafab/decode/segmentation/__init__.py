@@ -9,7 +9,7 @@
 - ``frame_model``     FrameModel: outlines from a model of the frame with occlusion
 - ``fit``             null energy of the twins by place: whether a segment explains its pixels
 - ``continuous``      continuous surfaces: a depth for each pixel, and its doubt
-- ``objects``         objects that the segments of textured pixels miss: small ones, plain ones
+- ``objects``         objects that the segments of textured pixels miss: small ones, plain ones; plain parts
 - ``segments``        layers of depth, connected segments, the depth of a segment; Regions: all segments of a frame
 - ``assignment``      pixels assigned to planes: segments and their depths
 - ``surfaces``        the layers, planes or continuous surfaces that fit the pixels' depths best

@@ -24,7 +24,7 @@ WINDOW_PX = 28
 #: Rms of a texture in the frame, as a share of the brightness, below which a surface is plain.
 _FAINT = 0.01
 #: Distance from an outline up to which light of the other side is mixed in, frame pixels.
-_BLUR_PX = 12
+BLUR_PX = 12
 #: Least share of a plain object's pixels away from its outline that are plain.
 _PLAIN_SHARE = 0.99
 #: Largest ratio of distances of a plain object's outline from its core (quantiles 0.95 and 0.05): rectangles have up to
@@ -148,7 +148,7 @@ class PreparedFrame:
     @property
     def outline_reach(self) -> float:
         """Distance from an outline up to which windows contain its blur, downsampled pixels."""
-        return self.window // 2 + _BLUR_PX / self.downsampling.step
+        return self.window // 2 + BLUR_PX / self.downsampling.step
 
     @property
     def dark_e(self) -> float:
@@ -263,7 +263,7 @@ class PreparedFrame:
     def plain(self) -> NDArray[np.bool_]:
         """Surfaces without texture and their outlines, where even a faint texture would show: shape (n_y, n_x)."""
         # Windows that hold an outline or its blur are not smooth, and smooth cores keep half a window away from these.
-        outline = 2 * (self.window // 2) + _BLUR_PX / self.downsampling.step
+        outline = 2 * (self.window // 2) + BLUR_PX / self.downsampling.step
         return np.asarray((distance(self._smooth_cores) <= outline) & self.lit)
 
     @cached_property

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from metafab.core.numeric.distance import distance
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import silent
-from metafab.decode.confidence import right_segment
+from metafab.decode.confidence import differs, right_segment
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
 from metafab.decode.matching.filters import CrossFilters
@@ -32,7 +32,7 @@ from metafab.decode.segmentation.objects.small_objects import SmallObject, small
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.segments import Regions, SegmentDepth, textured_components
+from metafab.decode.segmentation.segments import Regions, SegmentDepth, interior, textured_components
 from metafab.decode.segmentation.surfaces import first_segments
 
 #: Misfit from which a pixel is left out of its segment's depth: 12 samples of noise reach it in one of 10^3 windows.
@@ -43,6 +43,9 @@ _FEW_OUTLIERS, _LEAST_KEPT = 0.01, 0.3
 ROBUST_ROUNDS = 3
 #: Change of a depth, in standard errors, below which its outliers stay the same.
 _SETTLED = 0.25
+#: Share of an interior that moved outlines leave clear, of what was clear before, below which a segment's depth is
+#: measured again.
+_STILL_CLEAR = 0.75
 #: Light of another segment over a segment's own from which that is measured without brighter light: the step at their
 #: outline is then its own light. Last: most segments of a frame that are, one cost volume each.
 _BRIGHTER, _MOST_DIM = 2.0, 4
@@ -105,7 +108,7 @@ def find_regions(
     step, refused = prepared.downsampling.step, np.zeros(regions.grown.shape, dtype=bool)
     if optics is not None:
         regions, refused = with_bars(regions, prepared, volume, optics)
-        regions = with_modelled_outlines(prepared, regions, optics)
+        regions = with_modelled_outlines(prepared, regions, optics, volume)
     label = regions.grown
 
     def misfit_of(number: NDArray[np.int32], model_error: float | None = None) -> Misfit:
@@ -158,7 +161,9 @@ def find_regions(
     return replace(regions, right=np.where(refused, 0.0, right))
 
 
-def with_modelled_outlines(prepared: PreparedFrame, regions: Regions, optics: LayerOptics) -> Regions:
+def with_modelled_outlines(
+    prepared: PreparedFrame, regions: Regions, optics: LayerOptics, volume: CostVolume
+) -> Regions:
     """Segments by the model of the frame: without false pieces, and with the outlines that explain it."""
     # A plain surface has no segment that could explain the light of a piece beside it.
     beside_plain = set(regions.grown[distance(prepared.plain) <= 2.0].tolist())
@@ -170,7 +175,36 @@ def with_modelled_outlines(prepared: PreparedFrame, regions: Regions, optics: La
     if false:
         model = FrameModel(prepared, regions.without(false), optics)
     owner = model.owners()
-    return model.regions if owner is None else model.regions.with_owners(owner)
+    if owner is None:
+        return model.regions
+    return clear_of_moved_outlines(model.regions.with_owners(owner), model.regions, volume, prepared.downsampling.step)
+
+
+def clear_of_moved_outlines(regions: Regions, before: Regions, volume: CostVolume, step: int) -> Regions:
+    """Measure the depths of segments again whose interiors moved outlines have come near to.
+
+    Beside an outline, the pair mixes the depths of both sides. A small object grows over that mixture at first: its
+    interior holds its true outline. Outlines between depths within 5 % of each other do not count.
+
+    Args:
+        regions: segments with moved outlines, and interiors of the outlines before.
+        before: the same segments with these outlines.
+        volume: cost volume.
+        step: frame pixels from one downsampled pixel to the next.
+    """
+    inside, depths = regions.interior.copy(), list(regions.depths)
+    vergences = [one.vergence_per_m(one.grown) for one in (regions, before)]
+    for number in range(1, len(depths) + 1):
+        own, plane = regions.interior == number, depths[number - 1].plane.over(inside.shape)
+        clear, was_clear = (
+            own & interior(np.where(differs(plane, vergence) | (one.grown == number), one.grown, 0), number, step)
+            for one, vergence in zip((regions, before), vergences, strict=True)
+        )
+        if clear.sum() < _STILL_CLEAR * was_clear.sum():
+            inside[own & ~clear] = 0
+            cells = Cells.of(volume, clear, step)
+            depths[number - 1] = measured_again(volume, cells, depths[number - 1], depths[number - 1].pixels, step)
+    return replace(regions, depths=tuple(depths), interior=inside)
 
 
 def with_small_objects(regions: Regions, found: Sequence[SmallObject], volume: CostVolume) -> Regions:

@@ -142,6 +142,13 @@ class Regions:
             grown=number[grown_label],
         )
 
+    def refused(self, where: NDArray[np.bool_]) -> Regions:
+        """The same segments, of which the pixels ``where``, shape (n_y, n_x), have no depth."""
+        if not where.any():
+            return self
+        right = np.ones(where.shape) if self.right is None else self.right
+        return replace(self, right=np.where(where, 0.0, right))
+
     def vergence_per_m(self, label: NDArray[np.int32]) -> FloatArray:
         """1/depth of each pixel in the segments ``label``, shape (n_y, n_x): the same shape; NaN for none."""
         surface = self.surface_of(label)

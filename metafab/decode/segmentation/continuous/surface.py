@@ -18,10 +18,10 @@ from metafab.decode.confidence import RIGHT_WITHIN
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import parabolic_peak
 from metafab.decode.matching.levels import light_steps
-from metafab.decode.matching.pooling import window_maxima, window_means
+from metafab.decode.matching.pooling import window_maxima
 from metafab.decode.matching.semi_global import summed_costs
 from metafab.decode.segmentation.continuous.local_planes import smoothed_levels
-from metafab.decode.segmentation.fit import TwinEnergies, log_misfit, surface_window
+from metafab.decode.segmentation.fit import FAINT, log_misfit, surface_window, texture_energy
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Levels of vergence of a surface to a candidate depth.
@@ -32,9 +32,6 @@ _CHANGE, _JUMP = 0.4, 6.5
 #: Price of a jump where the light is even, share of it that is left at edges, and change of the light's logarithm from
 #: one pixel to the next at which it has fallen to 1/e. Half or 1.5 times as much of any changes errors by 1 to 2 %.
 _EVEN_JUMP, _EDGE_SHARE, _EDGE = 10.0, 0.1, 0.2
-#: Energy of the texture, in variances of the noise of one image, at which a pixel counts by half: noise alone tells no
-#: depths. Without, a plain part of a frame of 500 electrons takes the farthest depth (6.1 in place of 2.8 % off).
-_FAINT = 1.0
 #: Levels on each side of the least misfit at which its curvature is measured, and least curvature, per squared level.
 _APART, _LEAST_CURVATURE = 2, 5e-3
 #: Standard deviation of the Gaussian of the planes about each pixel, frame pixels, and their tolerance, levels.
@@ -75,9 +72,8 @@ def matched_surface(
     for number, level_per_m in enumerate(levels):
         of_level = log_misfit(prepared, volume.at(level_per_m[None])[:, 0], volume.noise_gain)
         misfit[..., number], cost[..., number] = of_level, -window_maxima(-of_level, window)
-    middle = window_means(volume.products[:, nodes.size // 2], window)
-    texture = TwinEnergies.of(middle, prepared, volume.noise_gain).energy
-    counts, jump = texture / (texture + np.float32(_FAINT)), np.full((2, 1, 1), _JUMP, dtype=np.float32)
+    texture = texture_energy(prepared, volume)
+    counts, jump = texture / (texture + np.float32(FAINT)), np.full((2, 1, 1), _JUMP, dtype=np.float32)
     if before_per_m is not None and light is not None:
         before = (before_per_m - levels[0]) / (levels[1] - levels[0])
         counts = counts / (np.float32(1.0) + np.maximum(_at(misfit, before), np.float32(0.0)))
@@ -92,7 +88,7 @@ def matched_surface(
     # The nearest level may be farther than that from the pixel's own.
     np.put_along_axis(near, np.rint(level).astype(np.intp)[..., None], True, axis=-1)
     within, beyond = (total.min(axis=-1, where=which, initial=np.inf) for which in (near, ~near))
-    return Surface(vergence, _at(misfit, level), _at(cost, level), beyond - within, texture < _FAINT)
+    return Surface(vergence, _at(misfit, level), _at(cost, level), beyond - within, texture < FAINT)
 
 
 def jump_prices(light: NDArray[np.float32]) -> NDArray[np.float32]:

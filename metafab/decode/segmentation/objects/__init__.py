@@ -1,8 +1,9 @@
 """Objects that the segments of textured pixels miss: small and narrow ones before a surface, and plain ones.
 
 - ``null_channel``   difference of the twins in which a surface vanishes, and the evidence of light before it
-- ``object_fit``     depth of a rectangle of light before a surface, by a model of both images with occlusion
-- ``small_objects``  rectangles of light before a segment, by ascent of their evidence
+- ``object_fit``     depth of a rectangle or an ellipse before a surface, by a model of both images with occlusion
+- ``small_objects``  rectangles and ellipses of light before a segment, by ascent of their evidence
 - ``bars``           straight bars narrower than a window before a segment, by ridges of its misfit
 - ``plain_objects``  objects without texture, by the depth of their outlines
+- ``plain_parts``    wide parts of segments whose twins show no depth
 """

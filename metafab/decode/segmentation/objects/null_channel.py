@@ -1,11 +1,12 @@
-"""The null channel of a surface, and the evidence of rectangles of light before it.
+"""The null channel of a surface, and the evidence of rectangles and ellipses of light before it.
 
 Both images of a surface, each blurred once more by the other's PSF at the surface's depth, are equal up to contrast. In
 their difference, the null channel, the surface vanishes with any texture, seen or hidden. What is left is the light of
 an object at another depth, less the mean light that the object hides, in the object's place.
 
 The evidence of a rectangle of even light with a texture of 1/k spectrum is that of a Gaussian process, with the texture
-and both mean intensities integrated out. It needs one Cholesky factor of a matrix of the rectangle's pixels.
+and both mean intensities integrated out. It needs one Cholesky factor of a matrix of the rectangle's pixels. An ellipse
+is that rectangle without its corners: it has the same unknowns, of which those that it does not cover follow the prior.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import scipy.fft
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.special import j1
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
@@ -46,7 +48,10 @@ _POOLED = 5
 #: exists.
 _UNREACHED = 1e30
 
-#: Middle (row, column) and half sides (rows, columns), downsampled pixels.
+#: Points along each side of a pixel by which the share of it that an ellipse covers is counted.
+_POINTS = 5
+
+#: Middle (row, column) and half sides (rows, columns), downsampled pixels; of an ellipse, those of its bounding box.
 Rectangle = NDArray[np.float64]
 
 
@@ -104,12 +109,29 @@ BOTH_HALVES = np.full(WINDOW // 2 + 1, 2.0)
 BOTH_HALVES[[0, -1]] = 1.0
 
 
-class RectangleEvidence:
-    """Evidence of rectangles of light at all depths; earlier results are cached."""
+def ellipse_light(
+    ky: FloatArray, kx: FloatArray, middle: tuple[FloatArray, FloatArray], half: tuple[FloatArray, FloatArray]
+) -> NDArray[np.complex128]:
+    """Transform of ellipses of unit height.
 
-    def __init__(self, channel: NullChannel) -> None:
-        """Evidence of objects before the surface of a null channel."""
-        self._channel, n = channel, WINDOW
+    Args:
+        ky: frequencies along y, cycles a pixel; all arguments have shapes that broadcast.
+        kx: frequencies along x.
+        middle: row and column.
+        half: half axes along y and x, pixels.
+    """
+    # Bessel's function over its argument is 1/2 at zero.
+    argument = np.maximum(2.0 * np.pi * np.hypot(half[0] * ky, half[1] * kx), 1e-9)
+    area = np.pi * half[0] * half[1]
+    return np.asarray(2.0 * area * j1(argument) / argument * np.exp(-2j * np.pi * (middle[0] * ky + middle[1] * kx)))
+
+
+class ShapeEvidence:
+    """Evidence of rectangles, or of ellipses, of light at all depths; earlier results are cached."""
+
+    def __init__(self, channel: NullChannel, *, is_round: bool = False) -> None:
+        """Evidence of objects before the surface of a null channel; ellipses if they are round."""
+        self._channel, self.is_round, n = channel, is_round, WINDOW
         self._frequencies = scipy.fft.fftfreq(n), scipy.fft.rfftfreq(n)
         self._pixel = np.sinc(self._frequencies[0])[:, None] * np.sinc(self._frequencies[1])
         self._waves = tuple(np.exp(2j * np.pi * np.arange(n)[:, None] * one) for one in self._frequencies)
@@ -117,6 +139,11 @@ class RectangleEvidence:
         self._evidence: dict[tuple[float, ...], float] = {}
         self._responses: dict[tuple[float, ...], _Response] = {}
         self._sides: dict[tuple[int, float, float], _Side] = {}
+
+    @property
+    def of_ellipses(self) -> ShapeEvidence:
+        """The evidence of ellipses before the same surface."""
+        return ShapeEvidence(self._channel, is_round=True)
 
     def at(self, vergence_per_m: float, rectangle: Rectangle, light: FloatArray) -> float:
         """Logarithm of the evidence over that of no object.
@@ -139,17 +166,17 @@ class RectangleEvidence:
     def left(self, vergence_per_m: float, rectangle: Rectangle, light: FloatArray) -> NDArray[np.float32]:
         """Energy that a rectangle leaves in the null channel over that of noise: shape (n, n)."""
         n, channel, solution = WINDOW, self._channel, self._solution(vergence_per_m, rectangle, light)
-        y, x = self._extent(rectangle)
+        extent = self._extent(rectangle)
         texture = scipy.fft.rfft2(solution.texture) * self._pixel
-        both = light[:, None, None] * texture + solution.levels[:, None, None] * np.outer(y.light, x.light)
+        both = light[:, None, None] * texture + solution.levels[:, None, None] * extent.light
         model = (channel.response(vergence_per_m) * both).sum(axis=0)
         left = scipy.fft.irfft2((channel.spectrum - model) * (n * np.sqrt(channel.precision)), (n, n)) ** 2
         return np.asarray(window_means(left.astype(np.float32)[None], _POOLED)[0])
 
     def cover(self, rectangle: Rectangle) -> FloatArray:
         """Share of each pixel that a rectangle covers: shape (n, n)."""
-        cover, (y, x) = np.zeros((WINDOW, WINDOW)), self._extent(rectangle)
-        cover[y.at, x.at] = np.outer(y.cover, x.cover)
+        cover, extent = np.zeros((WINDOW, WINDOW)), self._extent(rectangle)
+        cover[extent.at] = extent.cover
         return cover
 
     def _response(self, vergence_per_m: float, light: FloatArray) -> _Response:
@@ -169,10 +196,17 @@ class RectangleEvidence:
             )
         return kept
 
-    def _extent(self, rectangle: Rectangle) -> tuple[_Side, _Side]:
-        """Extent of a rectangle along y and x."""
+    def _extent(self, rectangle: Rectangle) -> _Rectangle | _Ellipse:
+        """Extent of a shape in the window."""
         middle_y, middle_x, half_y, half_x = rectangle.tolist()
-        return self._side(0, middle_y, half_y), self._side(1, middle_x, half_x)
+        y, x = self._side(0, middle_y, half_y), self._side(1, middle_x, half_x)
+        if not self.is_round:
+            return _Rectangle(y, x)
+        ky, kx = self._frequencies
+        middle, half = (middle_y, middle_x), (half_y, half_x)
+        waves = (self._waves[0][y.at], self._waves[1][x.at])
+        light = ellipse_light(ky[:, None], kx[None, :], *((np.array(a), np.array(b)) for a, b in (middle, half)))
+        return _Ellipse((y.at, x.at), _covered(middle, half, y.at, x.at), light, waves)
 
     def _side(self, axis: int, middle: float, half: float) -> _Side:
         kept = self._sides.get((axis, middle, half))
@@ -193,20 +227,19 @@ class RectangleEvidence:
         independent and of unit variance in the prior.
         """
         response, unit = self._response(vergence_per_m, light), self._channel.light
-        level, (y, x) = _LEVEL * unit, self._extent(rectangle)
-        cover = (_TEXTURE * unit) * y.cover[:, None] * x.cover
+        level, extent = _LEVEL * unit, self._extent(rectangle)
+        cover = (_TEXTURE * unit) * extent.cover
         inverse, half_determinant = _inverse_covariance(*cover.shape, self._channel.optics.downsampling.step)
-        # The means are those of the exact rectangle: its sides need not lie between pixels.
-        among = (y.power @ response.pairs).reshape(3, -1) @ x.power
-        levels = (y.wave @ response.lit @ x.wave.T).real * (level * cover)
-        means = ((y.light.conj() @ response.matched).reshape(2, -1) @ x.light.conj()).real
+        # The means are those of the exact shape: its sides need not lie between pixels.
+        among, means = extent.among(response), extent.means(response)
+        levels = extent.at_pixels(response) * (level * cover)
         # The last row of the Cholesky factor of a matrix with the target as last row is the solution of the lower one.
         count = cover.size
         matrix = np.empty((count + 3, count + 3))
         _fill(matrix, inverse, cover, response.lags)
         matrix[count:-1, :count] = levels.reshape(2, -1)
         matrix[count:-1, count:-1] = level**2 * among[[[0, 1], [1, 2]]] + np.eye(2)
-        matrix[-1, :count] = (cover * response.data[y.at, x.at]).ravel()
+        matrix[-1, :count] = (cover * response.data[extent.at]).ravel()
         matrix[-1, count:-1] = level * means
         matrix[-1, -1] = _UNREACHED
         # The transpose is in LAPACK's order of elements.
@@ -215,7 +248,7 @@ class RectangleEvidence:
             raise np.linalg.LinAlgError(f"the system of a rectangle of {cover.shape} pixels is not positive definite")
         half = factor[:-1, -1]
         evidence = 0.5 * half @ half - np.log(np.diagonal(factor)[:-1]).sum() - half_determinant
-        return _Solution(float(evidence), factor, cover, (y.at, x.at), unit)
+        return _Solution(float(evidence), factor, cover, extent.at, unit)
 
 
 @dataclass(frozen=True)
@@ -238,6 +271,73 @@ class _Side:
     light: NDArray[np.complex128]  # (n or n // 2 + 1,), transform of light of height 1
     power: FloatArray  # its squared magnitude
     wave: NDArray[np.complex128]  # (n_pixels, n or n // 2 + 1), its correlation with light at each pixel, transformed
+
+
+@dataclass(frozen=True)
+class _Rectangle:
+    """A rectangle in the window: all sums over frequencies are products of its two sides."""
+
+    y: _Side
+    x: _Side
+
+    @property
+    def at(self) -> tuple[slice, slice]:
+        """Rows and columns that it covers."""
+        return self.y.at, self.x.at
+
+    @property
+    def cover(self) -> FloatArray:
+        """Shares of these pixels, shape (rows, columns)."""
+        return self.y.cover[:, None] * self.x.cover
+
+    @property
+    def light(self) -> NDArray[np.complex128]:
+        """Transform of light of height 1, shape (n, n // 2 + 1)."""
+        return np.outer(self.y.light, self.x.light)
+
+    def among(self, response: _Response) -> FloatArray:
+        """Products of both images' responses to the light, shape (3,): x x, x y, y y."""
+        return np.asarray((self.y.power @ response.pairs).reshape(3, -1) @ self.x.power)
+
+    def means(self, response: _Response) -> FloatArray:
+        """Matched filter output of both images for the light, shape (2,)."""
+        return np.asarray(((self.y.light.conj() @ response.matched).reshape(2, -1) @ self.x.light.conj()).real)
+
+    def at_pixels(self, response: _Response) -> FloatArray:
+        """Products of either image's response to the light and that of each lit pixel, shape (2, rows, columns)."""
+        return np.asarray((self.y.wave @ response.lit @ self.x.wave.T).real)
+
+
+@dataclass(frozen=True)
+class _Ellipse:
+    """An ellipse in the window; fields and methods as those of :class:`_Rectangle`."""
+
+    at: tuple[slice, slice]
+    cover: FloatArray
+    light: NDArray[np.complex128]
+    waves: tuple[NDArray[np.complex128], NDArray[np.complex128]]  # (rows, n), (columns, n // 2 + 1)
+
+    def among(self, response: _Response) -> FloatArray:
+        power = np.abs(self.light) ** 2
+        return np.asarray((response.pairs.reshape(len(power), 3, -1) * power[:, None]).sum(axis=(0, 2)))
+
+    def means(self, response: _Response) -> FloatArray:
+        matched = response.matched.reshape(len(self.light), 2, -1)
+        return np.asarray((matched * self.light.conj()[:, None]).sum(axis=(0, 2)).real)
+
+    def at_pixels(self, response: _Response) -> FloatArray:
+        return np.asarray((self.waves[0] @ (response.lit * self.light) @ self.waves[1].T).real)
+
+
+def _covered(middle: tuple[float, float], half: tuple[float, float], rows: slice, columns: slice) -> FloatArray:
+    """Share of each pixel of a box that an ellipse covers, by points in it: shape (rows, columns)."""
+    points = (np.arange(_POINTS) + 0.5) / _POINTS - 0.5
+    y, x = (
+        (((np.arange(at.start, at.stop)[:, None] + points).ravel() - place) / length) ** 2
+        for at, place, length in zip((rows, columns), middle, half, strict=True)
+    )
+    inside = (y[:, None] + x <= 1.0).reshape(-1, _POINTS, x.size // _POINTS, _POINTS)
+    return np.asarray(inside.mean(axis=(1, 3)))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Depth and outline of a small object by a model of both images: a surface, and a rectangle of light before it.
+"""Depth and outline of a small object by a model of both images: a surface, and a rectangle or an ellipse before it.
 
 An object no larger than the blur hides part of the texture behind it. The model has the occlusion of the camera
 (:mod:`metafab.camera.rendering.occlusion`): the object hides a share of the aperture from each point of the surface,
@@ -29,7 +29,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import default_workers, kept_threads
 from metafab.decode.matching.filter_basis import frequencies
 from metafab.decode.segmentation.layer_light import LayerOptics, at_depth, texture_amplitude
-from metafab.decode.segmentation.objects.null_channel import Rectangle
+from metafab.decode.segmentation.objects.null_channel import Rectangle, ellipse_light
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Least side of the window, downsampled pixels.
@@ -94,6 +94,7 @@ class ObjectStart:
     level_e: FloatArray  #: Mean light of the surface in both images, shape (2,); only their ratio is used.
     vergence_per_m: float  #: 1/depth.
     rectangle: Rectangle  #: Middle from the window's middle, and half sides.
+    is_round: bool = False  #: Whether the object is an ellipse.
 
     def side(self, optics: LayerOptics) -> int:
         """Side of the window, downsampled pixels."""
@@ -185,6 +186,7 @@ class _Window:
     surface: _Spectra  # (k, 2, n, n // 2 + 1), transforms of the pair at the surface's depth, times its share of light
     light: NDArray[np.float32]  # (k, 1, 1, 1), mean light of the surface, electrons
     amplitude: NDArray[np.float32]  # (k, 1, n, n // 2 + 1), amplitude of both textures' spectrum, electrons
+    is_round: NDArray[np.bool_]  # (k,), whether the object is an ellipse
 
     @property
     def side(self) -> int:
@@ -210,9 +212,9 @@ class _Window:
             factors = share[:, None, None].astype(np.float32)
             parts.append((square, weight, pair, np.asarray(start.surface_per_m), surface * factors, level))
         images, weight, pair, surface_per_m, surface, mean = (np.stack(one) for one in zip(*parts, strict=True))
-        light = mean.reshape(-1, 1, 1, 1)
+        light, is_round = mean.reshape(-1, 1, 1, 1), np.array([start.is_round for start in starts])
         amplitude = np.float32(_TEXTURE) * light * texture_amplitude((n, n), step)
-        return cls(optics, images, weight, pair, surface_per_m, surface, light, amplitude)
+        return cls(optics, images, weight, pair, surface_per_m, surface, light, amplitude, is_round)
 
     def taken(self, at: NDArray[np.intp]) -> _Window:
         """Some of the windows."""
@@ -254,12 +256,7 @@ class _Scene:
 
     @classmethod
     def of(cls, window: _Window, depth: _Depth, unknowns: _Unknowns) -> _Scene:
-        n, (middle_y, middle_x, half_y, half_x) = window.side, unknowns[:, 1:5, None].swapaxes(0, 1)
-        y, x = (
-            2.0 * half * np.sinc(2.0 * half * one) * np.exp(-2j * np.pi * middle * one)
-            for one, middle, half in zip(frequencies((n, n), 1), (middle_y, middle_x), (half_y, half_x), strict=True)
-        )
-        cover = (y[:, None, :, None] * x[:, None, None, :]).astype(np.complex64)
+        cover = _covers(window.side, unknowns[:, 1:5], window.is_round)
         hidden = cover * depth.aperture[:, None]
         through, own = (one[..., :1, :1].real for one in (window.surface, depth.pair))
         blurred = window.pictures(depth.pair * cover)
@@ -422,6 +419,21 @@ class _Linear:
             ahead = next_ + _wide(ratio) * ahead
             ahead_free = next_free + ratio[..., None] * ahead_free
         return textures, free
+
+
+def _covers(n: int, rectangles: FloatArray, is_round: NDArray[np.bool_]) -> _Spectra:
+    """Transforms of the objects' shares of pixels, shape (k, 1, n, n // 2 + 1), given their rectangles, (k, 4)."""
+    middle_y, middle_x, half_y, half_x = rectangles[:, :, None].swapaxes(0, 1)
+    ky, kx = frequencies((n, n), 1)
+    y, x = (
+        2.0 * half * np.sinc(2.0 * half * one) * np.exp(-2j * np.pi * middle * one)
+        for one, middle, half in ((ky, middle_y, half_y), (kx, middle_x, half_x))
+    )
+    cover = (y[:, None, :, None] * x[:, None, None, :]).astype(np.complex64)
+    if is_round.any():
+        places = rectangles[is_round].T[:, :, None, None, None]
+        cover[is_round] = ellipse_light(ky[:, None], kx, (places[0], places[1]), (places[2], places[3]))
+    return np.asarray(cover)
 
 
 def _determinant_slopes(window: _Window, unknowns: _Unknowns) -> _Unknowns:

@@ -1,9 +1,10 @@
 """Small objects before a surface, from the light that does not fit the surface's depth.
 
 An object's light is left in the surface's null channel (:mod:`metafab.decode.segmentation.objects.null_channel`). An
-object is a rectangle of even light, of a contrast of its own. Depth, place and size maximise its evidence by ascent,
-first in coarse steps. The evidence falls for rectangles that are too large as well as for those that are too small.
-Blobs whose light no rectangle explains are rejected. Depth and rectangle of the others, and the error that decides
+object is a rectangle or an ellipse of even light, of a contrast of its own, whichever has more evidence. Depth, place
+and size maximise it by ascent, first in coarse steps. It falls for shapes that are too large as well as for those that
+are too small.
+Blobs whose light no such shape explains are rejected. Depth and shape of the others, and the error that decides
 whether they have a depth, follow from a model of both images with occlusion
 (:mod:`metafab.decode.segmentation.objects.object_fit`): an object of 20 px may fit two depths in the null channel, and
 one in the model.
@@ -24,7 +25,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR
 from metafab.decode.segmentation.layer_light import LayerOptics
-from metafab.decode.segmentation.objects.null_channel import WINDOW, NullChannel, Rectangle, RectangleEvidence
+from metafab.decode.segmentation.objects.null_channel import WINDOW, NullChannel, Rectangle, ShapeEvidence
 from metafab.decode.segmentation.objects.object_fit import FittedObject, ObjectStart, fitted_objects
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
@@ -50,6 +51,8 @@ _COARSE_STEPS = (2.0, 1.0)
 _MOVES = np.array(
     [[1, 0, 0, 0], [0, 1, 0, 0], *([y, x, abs(y), abs(x)] for y, x in ((0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5)))]
 )
+#: Ratio of the axes of an ellipse to the sides of a rectangle of equal area.
+_ROUND = math.sqrt(4.0 / math.pi)
 #: Most sweeps over the sides in one step, and least half side.
 _SWEEPS, _LEAST_HALF = 5, 0.6
 #: Extent of a blob beyond its object on each side: blur and the misfit's window, downsampled pixels.
@@ -176,19 +179,34 @@ class _Search:
         if largest <= nearest:
             return None
         inside = tuple(slice(int(f), int(f) + n) for f, n in zip(first, size, strict=True))
-        ascent = _Ascent(RectangleEvidence(channel), limits, np.linspace(nearest, largest, _CANDIDATES), surface_per_m)
+        ascent = _Ascent(ShapeEvidence(channel), limits, np.linspace(nearest, largest, _CANDIDATES), surface_per_m)
         even, (evidence, vergence, rectangle) = np.ones(2), ascent.begun(start)
+        if evidence < _COARSE_EVIDENCE * _LEAST_EVIDENCE:
+            return None
         # The fit starts at the middle candidate: the depth of most evidence may be the nearest one, 45 % off.
         begun = float(ascent.candidates[_CANDIDATES // 2])
         fit = ObjectStart(middle, max(size), surface_per_m, level_e, begun, rectangle - _ORIGIN)
         search = cls(at, weight > 0.0, inside, ascent, fit)
         most, most_at_best = (_LEFT * one for one in _COARSE_LEFT)
-        if evidence < _COARSE_EVIDENCE * _LEAST_EVIDENCE or search._left(vergence, rectangle, even) > most:
-            return None
-        vergence, rectangle = ascent.over_depths(rectangle)
+        if search._left(vergence, rectangle, even) > most:
+            search, rectangle = search._as_ellipse(vergence, rectangle)
+            if search._left(vergence, rectangle, even) > most:
+                return None
+        vergence, rectangle = search.ascent.over_depths(rectangle)
+        if not search.start.is_round:
+            search, rectangle = search._as_ellipse(vergence, rectangle)
         if search._left(vergence, rectangle, even) > most_at_best:
             return None
-        return replace(search, start=replace(fit, rectangle=rectangle - _ORIGIN))
+        return replace(search, start=replace(search.start, rectangle=rectangle - _ORIGIN))
+
+    def _as_ellipse(self, vergence_per_m: float, rectangle: Rectangle) -> tuple[_Search, Rectangle]:
+        """The search of an ellipse and its box, if that has more evidence than the rectangle; else those of this."""
+        ascent, even = replace(self.ascent, evidence=self.ascent.evidence.of_ellipses), np.ones(2)
+        of_same_area = rectangle * np.array([1.0, 1.0, _ROUND, _ROUND])
+        evidence, box = ascent.over_sides(vergence_per_m, of_same_area, even, _COARSE_STEPS[-1:])
+        if evidence <= self.ascent.evidence.at(vergence_per_m, rectangle, even):
+            return self, rectangle
+        return replace(self, ascent=ascent, start=replace(self.start, is_round=True)), box
 
     def found(self, fitted: FittedObject | None) -> SmallObject | None:
         """The object, if the fitted one explains the blob's light."""
@@ -223,7 +241,7 @@ class _Search:
 class _Ascent:
     """Ascent of the evidence over rectangles and depths."""
 
-    evidence: RectangleEvidence
+    evidence: ShapeEvidence
     limits: FloatArray  # (2, 2), least and largest (row, column) of the blob, at the edges of its pixels
     candidates: FloatArray  # vergences, evenly spaced
     surface_per_m: float

@@ -6,13 +6,19 @@ import numpy as np
 import pytest
 
 from metafab.camera import RawFrame, capture, draws
+from metafab.core.numeric.distance import distance
 from metafab.core.parallel.progress import silent
 from metafab.decode import Decoder, decode
 from metafab.decode.evaluation import overlap
 from metafab.decode.segmentation.assignment import measured_depth
 from metafab.decode.segmentation.planes import Cells, Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth, without_bright_light
+from metafab.decode.segmentation.regions import (
+    clear_of_moved_outlines,
+    find_regions,
+    textured_pixel_depth,
+    without_bright_light,
+)
 from metafab.decode.segmentation.segments import Regions, interior
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
@@ -110,3 +116,29 @@ def test_the_depth_of_a_dim_wall_is_that_without_the_light_before_it(ratio: floa
     again = without_bright_light(prepared, decoder.filters, Regions(2, (far, near), label, inside, label)).depths
     assert abs(1.0 / again[0].vergence_per_m / 0.0034 - 1.0) < 0.003
     assert again[1] is near
+
+
+def test_an_interior_beside_a_moved_outline_is_measured_again() -> None:
+    """With the interior of an outline 36 px too far out, an object before a brighter one is 4.5 to 9.3 % off."""
+    psf = helix_psf(1.0 / np.linspace(1 / 0.0038, 1 / 0.0024, 13))
+    behind = SceneObject(depth_m=0.0034, size=(0.6, 0.6), brightness=2.0)
+    objects = behind, SceneObject(depth_m=0.0027, size=(0.14, 0.14))
+    before, after = [], []
+    for frame in draws(Scene(objects=objects, photons_per_pixel=3000.0, field_px=(240, 160)), psf, (1, 2, 3)):
+        decoder = Decoder.of(psf, frame.frame.shape, frame.origin_um, frame.x_window)
+        assert decoder is not None and frame.truth is not None
+        prepared = decoder.prepare(frame)
+        assert isinstance(prepared, PreparedFrame)
+        step, volume = prepared.downsampling.step, decoder.match(prepared)
+        label = frame.truth.label[::step, ::step].astype(np.int32)
+        wide = np.where(distance(label == 2) * step <= 36.0, 2, 1).astype(np.int32)
+        inside = sum(number * interior(wide, number, step) for number in (1, 2)).astype(np.int32)
+        far, near = (measured_depth(volume, Cells.of(volume, inside == k, step), Plane(330.0)) for k in (1, 2))
+        assert far is not None and near is not None
+        moved, first = (Regions(2, (far, near), label, inside, one) for one in (label, wide))
+        again = clear_of_moved_outlines(moved, first, volume, step)
+        assert again.depths[0] is far  # hardly nearer to its outline
+        for errors, depth in ((before, near), (after, again.depths[1])):
+            errors.append(abs(1.0 / depth.vergence_per_m / 0.0027 - 1.0))
+    # Measured: 0.16 to 0.26 %.
+    assert min(before) > 0.02 and max(after) < 0.008

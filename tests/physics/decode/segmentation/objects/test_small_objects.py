@@ -47,6 +47,20 @@ def test_a_small_object_of_another_contrast_is_found(contrast: float) -> None:
     assert np.isfinite(wall).mean() > 0.95
 
 
+@pytest.mark.parametrize("contrast", [0.5, 2.0])
+def test_a_small_disc_is_found(contrast: float) -> None:
+    """As squares, eight of twelve discs were 1.6 to 6.6 % off, and three had no depth."""
+    errors = []
+    for seed in (4, 5):
+        disc = SceneObject(depth_m=0.0027, size=(0.05, 0.05), outline="ellipse", polarisation_contrast=contrast)
+        image, frame = decoded(disc, seed=seed)
+        of_disc = errors_of(image, frame, 2)
+        assert np.isfinite(of_disc).mean() > 0.9
+        errors.append(np.abs(np.nanmedian(of_disc)))
+    # Measured over three draws of three sizes: 0.66 % at most, 0.3 % rms.
+    assert np.mean(errors) < 0.012
+
+
 def test_a_patch_of_another_contrast_on_the_wall_is_no_object() -> None:
     patch = SceneObject(depth_m=0.9999 * WALL_M, size=(0.04, 0.04), polarisation_contrast=2.0)
     image, frame = decoded(patch)
