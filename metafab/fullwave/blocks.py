@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
+from itertools import compress
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -75,11 +76,11 @@ class Blocks:
     blocks: Annotated[list[Block], Field(min_length=1)]  #: One supercell each.
 
 
-def read_blocks(path: Path, library: Library) -> list[Supercell]:
+def read_blocks(path: Path, library: Library, solver: Solver = "rcwa") -> list[Supercell]:
     """Read supercells of the library's unit cell.
 
-    InputError if the file is missing or holds faults (all of them are reported), or supercells of this unit cell cannot
-    be solved.
+    InputError if the file is missing or holds faults (all of them are reported), sizes that the library does not hold
+    for the solvers ``model`` and ``lone`` included, or supercells of this unit cell cannot be solved.
     """
     try:
         most_mb = limit("memory_mb", _LARGEST_MB)
@@ -99,6 +100,8 @@ def read_blocks(path: Path, library: Library) -> list[Supercell]:
             if largest > period:
                 expected = f"at most the period of {period:g} nm"
                 faults.append(Fault(f"blocks[{number}].{name}", expected, f"{largest:g} nm"))
+            elif solver in {"model", "lone"}:
+                faults += _beyond_sweep(library, f"blocks[{number}].{name}", size_nm[..., axis], axis, solver)
         if np.any((size_nm[..., 0] == 0.0) != (size_nm[..., 1] == 0.0)):
             faults.append(Fault(f"blocks[{number}]", "width and length both 0, or both above", "one of them 0"))
         if library.unit_cell.cell.is_round and np.any(size_nm[..., 0] != size_nm[..., 1]):
@@ -108,6 +111,19 @@ def read_blocks(path: Path, library: Library) -> list[Supercell]:
     if faults:
         raise InputError(str(path), faults)
     return supercells
+
+
+def _beyond_sweep(library: Library, field: str, size_nm: FloatArray, axis: int, solver: Solver) -> list[Fault]:
+    """Fault of sizes along an axis (0 width, 1 length) that the library does not hold; ``lone`` has empty sites."""
+    grid = library.length_nm if axis else library.width_nm
+    stands = size_nm > 0.0
+    beyond_sweep = stands & ((size_nm < grid[0]) | (size_nm > grid[-1]))
+    expected = f"{grid[0]:g} to {grid[-1]:g} nm, the library's sweep"
+    if beyond_sweep.any():
+        return [Fault(field, expected, f"{size_nm[beyond_sweep][0]:.10g} nm", "use the solver rcwa or meep")]
+    if solver == "model" and not stands.all():
+        return [Fault(field, expected, "an empty site", "use the solver rcwa, meep or lone")]
+    return []
 
 
 @dataclasses.dataclass(frozen=True)
@@ -134,8 +150,8 @@ def solve_blocks(
         supercells: pillars in the library's unit cell.
         library: library for ``lone`` and ``model``.
         numerics: numerics of ``rcwa`` and ``meep``.
-        executor: runs ``rcwa`` in parallel, and ``model`` where it solves joint effects of blocks; by default this
-            process.
+        executor: solves blocks by ``rcwa`` in parallel, and by ``model`` those whose joint effect is solved; by default
+            this process.
         pool: workers of Meep; by default one that lives as long as this process.
 
     Raises:
@@ -150,9 +166,15 @@ def solve_blocks(
         "model": partial(solve_supercell, library),
     }
     # Chains and look-ups take milliseconds, less than a process takes to start; Meep has workers of its own.
-    is_slow = solver == "rcwa" or (solver == "model" and any(map(has_joint_effect, supercells)))
-    runner = executor if executor is not None and is_slow else SerialExecutor()
-    for done, found in enumerate(in_order(runner, solve[solver], supercells), start=1):
+    goes_out = [
+        executor is not None and (solver == "rcwa" or (solver == "model" and has_joint_effect(one)))
+        for one in supercells
+    ]
+    if solver == "model" and any(goes_out):
+        _ = library.surface  # made once here, not by each worker
+    sent = in_order(executor or SerialExecutor(), solve[solver], compress(supercells, goes_out))
+    for done, (supercell, is_sent) in enumerate(zip(supercells, goes_out, strict=True), start=1):
+        found = next(sent) if is_sent else solve[solver](supercell)
         progress("supercells", done, len(supercells))
         yield found
 

@@ -178,8 +178,10 @@ def fullwave_command(
     from metafab.fullwave.blocks import BlockNumerics, read_blocks, solve_blocks
     from metafab.library import load
 
+    if output is not None and output.is_dir():
+        raise InputError.single("fullwave", "--output", "the name of a file", f"the folder {output}")
     opened = load(library)
-    supercells = read_blocks(blocks, opened)
+    supercells = read_blocks(blocks, opened, solver)
     rcwa = ElementNumerics() if target_error is None else ElementNumerics(target_error)
     numerics = BlockNumerics(rcwa, tuple(pixels_per_period or BlockNumerics().pixels_per_period))
     answers = []

@@ -211,7 +211,7 @@ def _tables(hint: Any) -> list[type]:
     hint = _bare(hint)
     if dataclasses.is_dataclass(hint):
         return [hint] if isinstance(hint, type) else []
-    if _is_union(hint) or get_origin(hint) is tuple:
+    if _is_union(hint) or get_origin(hint) in {tuple, list}:
         return [table for part in get_args(hint) if part is not Ellipsis for table in _tables(part)]
     return []
 

@@ -34,7 +34,7 @@ ROW = {"width_nm": [[120.0, 150.0, 180.0]], "length_nm": [[180.0, 150.0, 130.0]]
         ([{"width_nm": [[float("nan")]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
         ([{"width_nm": [[400.0]], "length_nm": [[120.0]]}], "at most the period of 350 nm"),
         ([{"width_nm": [[0.0]], "length_nm": [[120.0]]}], "both 0"),
-        ([{**ROW, "height_nm": 600.0}], "height_nm"),
+        ([{**ROW, "glass": 600.0}], "known keys: width_nm, length_nm"),
     ],
 )
 def test_faulty_blocks_are_refused(smooth_library: Library, tmp_path: Path, blocks: list[object], message: str) -> None:
@@ -42,6 +42,30 @@ def test_faulty_blocks_are_refused(smooth_library: Library, tmp_path: Path, bloc
     path.write_text(json.dumps({"blocks": blocks}), encoding="utf-8")
     with pytest.raises(InputError) as refused:
         read_blocks(path, smooth_library)
+    assert message in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("solver", "width_nm", "message"),
+    [
+        ("model", 99.0, "blocks[1].width_nm`: expected 100 to 250 nm, the library's sweep, got 99 nm"),
+        ("lone", 250.0000001, "got 250.0000001 nm"),
+        ("model", 0.0, "an empty site"),
+        ("lone", 0.0, None),
+        ("rcwa", 99.0, None),
+    ],
+)
+def test_sizes_that_the_library_does_not_hold_are_refused_before_any_is_solved(
+    smooth_library: Library, tmp_path: Path, solver: Solver, width_nm: float, message: str | None
+) -> None:
+    path, length_nm = tmp_path / "blocks.json", 150.0 if width_nm else 0.0
+    blocks = [ROW, {"width_nm": [[150.0, width_nm]], "length_nm": [[150.0, length_nm]]}]
+    path.write_text(json.dumps({"blocks": blocks}), encoding="utf-8")
+    if message is None:
+        assert len(read_blocks(path, smooth_library, solver)) == 2
+        return
+    with pytest.raises(InputError) as refused:
+        read_blocks(path, smooth_library, solver)
     assert message in str(refused.value)
 
 
