@@ -158,7 +158,7 @@ def find_regions(
     misfit_here = np.where(regions.of_outline[label], np.float32(1.0), misfit_here)
     right = right_segment(misfit_here, other.over_noise, away * step)
     refused |= unexplained & (other.is_foreign | (across == 0))
-    return replace(regions, right=np.where(refused, 0.0, right))
+    return replace(regions, right=right).refused(refused)
 
 
 def with_modelled_outlines(

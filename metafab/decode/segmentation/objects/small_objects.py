@@ -2,10 +2,9 @@
 
 An object's light is left in the surface's null channel (:mod:`metafab.decode.segmentation.objects.null_channel`). An
 object is a rectangle or an ellipse of even light, of a contrast of its own, whichever has more evidence. Depth, place
-and size maximise it by ascent, first in coarse steps. It falls for shapes that are too large as well as for those that
-are too small.
-Blobs whose light no such shape explains are rejected. Depth and shape of the others, and the error that decides
-whether they have a depth, follow from a model of both images with occlusion
+and size maximise the evidence by ascent, first in coarse steps. It falls for shapes that are too large as well as for
+those that are too small. Blobs whose light no such shape explains are rejected. Depth and shape of the others, and the
+error that decides whether they have a depth, follow from a model of both images with occlusion
 (:mod:`metafab.decode.segmentation.objects.object_fit`): an object of 20 px may fit two depths in the null channel, and
 one in the model.
 """
