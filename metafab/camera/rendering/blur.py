@@ -53,7 +53,8 @@ class FieldBlur:
             for tolerance in (BASIS_TOLERANCE, _VEIL_TOLERANCE)
         )
         coefficients = (left[:, :count] * singular[:count]).reshape(n_field_y, n_field_x, count)
-        return cls(right[:count].reshape(count, n_y, n_x), coefficients, nodes.sum(axis=(-2, -1)), veil_count, kernels)
+        basis = right[:count].reshape(count, n_y, n_x).copy()  # A view would keep all of ``right``.
+        return cls(basis, coefficients, nodes.sum(axis=(-2, -1)), veil_count, kernels)
 
     def __call__(self, light: FloatArray, tangent_x: FloatArray, tangent_y: FloatArray) -> FloatArray:
         """Blur the light (electrons a pixel) of a layer, zero outside, by the kernels of its pixels' directions.
