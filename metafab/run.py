@@ -22,6 +22,7 @@ from metafab import __version__
 from metafab.core.errors import noted
 from metafab.core.numeric.ahead import compiling_ahead
 from metafab.core.parallel.beside import Beside, begin_beside
+from metafab.core.parallel.executor import one_blas_thread
 from metafab.core.parallel.measure import Cost, measured
 from metafab.core.parallel.memory import give_back_freed_memory
 from metafab.core.parallel.work import Work
@@ -128,7 +129,8 @@ def run(
     interpolates. ``say`` is called with announcements before the work begins. InputError if another process runs in
     this folder.
     """
-    with compiling_ahead(work.workers):
+    # The matrices are small: further threads of BLAS would wait in busy loops on the cores of the workers.
+    with one_blas_thread(), compiling_ahead(work.workers):
         return _run(Job(with_targets(design), folder, work, skips), steps, check, say)
 
 

@@ -12,7 +12,7 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
-from metafab.core.parallel.executor import kept_threads
+from metafab.core.parallel.executor import kept_threads, one_blas_thread
 from metafab.core.parallel.progress import Progress, silent
 from metafab.decode.evaluation import evaluated
 from metafab.decode.image import Image4D
@@ -123,6 +123,7 @@ class Decoder:
     numerics: DecoderNumerics = DecoderNumerics()  #: Numerics.
 
     @classmethod
+    @one_blas_thread()
     def of(
         cls,
         psf: Psf,

@@ -13,13 +13,12 @@ from typing import Any, Generic, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
-from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import FloatArray
 from metafab.core.display import Displayed
 from metafab.core.errors import InputError
 from metafab.core.figures import LightMapping, MappingFigures
-from metafab.core.parallel.executor import AHEAD, default_workers, in_order
+from metafab.core.parallel.executor import AHEAD, default_workers, in_order, one_blas_thread
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import plain
 from metafab.layout.aperture import Aperture
@@ -182,7 +181,7 @@ def _mapped(
 ) -> Iterator[tuple[Result, TileSums]]:
     """Function and sums of each tile in order, at most ``ahead`` in flight, by default on threads of this process."""
     # The choice for several lights is a matrix product; its threads would compete with those of the tiles.
-    alone = nullcontext() if mapping.lights is None else threadpool_limits(1, "blas")
+    alone = nullcontext() if mapping.lights is None else one_blas_thread()
     with alone, ThreadPoolExecutor(default_workers()) as threads:
         yield from in_order(executor or threads, _Mapped(mapping, function), corners, ahead=ahead)
 

@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.core.numeric.bicubic_spline import SplineTiles, bicubic_coefficients, left_out_error, midpoint_error
-from metafab.core.parallel.executor import default_workers
+from metafab.core.parallel.executor import default_workers, one_blas_thread
 from metafab.library.fit.rational import RationalModel
 from metafab.library.fit.size_grid import refined_axis
 
@@ -63,6 +63,7 @@ class Surface:
         return _tiled(width_nm, length_nm, bicubic_coefficients(t), _cells(left_out_error(t), 1), _cells(error, 1))
 
     @classmethod
+    @one_blas_thread()
     def of_model(
         cls, width_nm: FloatArray, length_nm: FloatArray, model: RationalModel, error: FloatArray, target_error: float
     ) -> Surface:

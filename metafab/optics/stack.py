@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import FloatArray
+from metafab.core.parallel.executor import one_blas_thread
 from metafab.core.parallel.work import Work
 from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
 from metafab.optics.geometry.path import Ray, power_at_aperture
@@ -73,7 +73,7 @@ def psf(
     middle, probe = len(depths) // 2, None if grid is None else _between_nodes(grid)
     images: list[FloatArray] = []
     errors: list[FloatArray] = []
-    with threadpool_limits(1, "blas"), work.threads() as pool:
+    with one_blas_thread(), work.threads() as pool:
         pyramids, stray = reduce_to_target(source, windows, depths, tangent, grid, numerics.block_error, pool, work)
         unwanted_light = pool.submit(Window.stray_irradiance, window, stray, 0, tangent, depths)
         jobs = [

@@ -14,6 +14,7 @@ from metafab.core.conventions import POLARISATIONS, FloatArray, image_distance_m
 from metafab.core.errors import Fault, InputError
 from metafab.core.figures import PhaseFigures
 from metafab.core.numeric.phasor import phasor
+from metafab.core.parallel.executor import one_blas_thread
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import Latest, file_mark
 from metafab.core.storage.pictures import read_grey
@@ -51,6 +52,7 @@ _ROUNDING = 1e-6
 _DIRECTIONS: Latest[tuple[tuple[float, float], tuple[float, float]]] = Latest()
 
 
+@one_blas_thread()
 def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
     """Build the target phase of a design, the sum of its phase terms, with its key figures.
 

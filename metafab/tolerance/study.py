@@ -17,12 +17,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.figures import ToleranceRow, ToleranceTable
 from metafab.core.numeric.interpolation import parabolic_maximum, spline_weights
+from metafab.core.parallel.executor import one_blas_thread
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import read_json, write_json
 from metafab.core.storage.tables import typed
@@ -304,7 +304,7 @@ def tolerance_table(
         kind = "a hexagonal lattice" if cell.is_hexagonal else 'cells of the shape "ring"'
         expected, remedy = f"0 for {kind}, whose slopes are not available", "set it in `[tolerance]`"
         raise InputError.single("tolerance", "sidewall_deg", expected, f"{tolerances.sidewall_deg:g}", remedy)
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         optics, pupils, error = MaskOptics.of(written, imaging, depths_m, numerics, transmission, work, lens)
         block = pupils[0].carrier.block_sites
         faults = _faults(tolerances, imaging, written, field_sites)

@@ -18,7 +18,7 @@ from metafab.camera.rendering.blur import BASIS_TOLERANCE
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.interpolation import LocalSplines
-from metafab.core.parallel.executor import kept_threads, spread
+from metafab.core.parallel.executor import spread
 
 #: Columns of the first random sketch of the kernels: the pair of the paper's lens needs 89.
 _SKETCH = 128
@@ -77,17 +77,16 @@ class DepthBlur:
         flux = light[rows, columns].astype(np.float32)
         fast = tuple(scipy.fft.next_fast_len(n, real=True) for n in full)
         total = np.zeros((fast[0], fast[1] // 2 + 1), dtype=np.complex64)
-        with kept_threads():
-            for first in range(0, len(self.basis), _AT_ONCE):
-                table = np.ascontiguousarray(self.coefficients[..., first : first + _AT_ONCE])
-                values = np.empty((flux.size, table.shape[-1]), dtype=np.float32)
-                spread(_coefficients, flux.size, table, *firsts, *weights, flux, values)
-                for kernel, column in zip(self.basis[first : first + _AT_ONCE], values.T, strict=True):
-                    image = np.zeros(light.shape, dtype=np.float32)
-                    image[rows, columns] = column
-                    # The kernel has few rows: those of zeros are not transformed along x.
-                    transfer = scipy.fft.fft(scipy.fft.rfft(kernel, fast[1]), fast[0], axis=0)
-                    total += scipy.fft.rfft2(image, fast) * transfer
+        for first in range(0, len(self.basis), _AT_ONCE):
+            table = np.ascontiguousarray(self.coefficients[..., first : first + _AT_ONCE])
+            values = np.empty((flux.size, table.shape[-1]), dtype=np.float32)
+            spread(_coefficients, flux.size, table, *firsts, *weights, flux, values)
+            for kernel, column in zip(self.basis[first : first + _AT_ONCE], values.T, strict=True):
+                image = np.zeros(light.shape, dtype=np.float32)
+                image[rows, columns] = column
+                # The kernel has few rows: those of zeros are not transformed along x.
+                transfer = scipy.fft.fft(scipy.fft.rfft(kernel, fast[1]), fast[0], axis=0)
+                total += scipy.fft.rfft2(image, fast) * transfer
         return np.asarray(scipy.fft.irfft2(total, fast)[: full[0], : full[1]], dtype=np.float64)
 
 

@@ -16,6 +16,7 @@ from metafab.camera.rendering.picture import DepthPicture, surfaces
 from metafab.camera.rendering.render import Piece, Renderer, extent
 from metafab.camera.rendering.windows import Window, shifts_px_m
 from metafab.core.conventions import FloatArray
+from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import Progress
 
 #: Blurs that are kept from frame to frame; one of the lens of Shen 2023 takes a megabyte.
@@ -84,6 +85,7 @@ class Lens:
         if self.picture is None:
             self.still.clear()
 
+    @kept_threads()
     def light(self, renderer: Renderer, progress: Progress) -> FloatArray:
         """Mean electrons of each pixel for a scene at rest: shape :attr:`shape`."""
         mean_e = np.zeros(self.shape)

@@ -16,7 +16,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled
-from metafab.core.parallel.executor import kept_threads, spread
+from metafab.core.parallel.executor import spread
 from metafab.core.storage.pictures import read_grey
 from metafab.spec.scene import Scene
 
@@ -151,8 +151,7 @@ def _open_share(
     rows, columns = np.nonzero(np.logical_and(asked, nearer))
     if reach > 0.0 and rows.size:
         open_share = np.zeros(rows.size)
-        with kept_threads():
-            spread(_march, rows.size, vergence, start[rows, columns], rows, columns, shifts_px_m, jump, open_share)
+        spread(_march, rows.size, vergence, start[rows, columns], rows, columns, shifts_px_m, jump, open_share)
         share[rows, columns] = open_share
     return share
 

@@ -127,6 +127,7 @@ _blas_limit = Lock()
 
 @cache
 def _blas() -> ThreadpoolController:
+    import scipy.linalg  # noqa: F401  its BLAS is not NumPy's: one that is loaded later would not be found
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()

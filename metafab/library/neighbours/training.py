@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from metafab.cell import is_square, pillar_cell
 from metafab.cell.supercell import Supercell, exchanged_site
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
 from metafab.core.figures import LineStatistics
-from metafab.core.parallel.executor import SerialExecutor, in_order
+from metafab.core.parallel.executor import SerialExecutor, in_order, one_blas_thread
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import fingerprint
 from metafab.core.storage.provenance import sources_sha256
@@ -124,7 +123,7 @@ def train(
     calls = executor or SerialExecutor()
     # One thread of linear algebra for all fits: the limit holds for the process, and the first thread of ours that ends
     # a fit would lift it for the others.
-    with Checkpoint(checkpoint, inputs_of_rows(library)) as record, threadpool_limits(1):
+    with Checkpoint(checkpoint, inputs_of_rows(library)) as record, one_blas_thread():
         solved = solve_sampled(samplers, [range(asked.rows)] * len(samplers), record, calls, progress)
         plans = [_Plan.of(*both, asked.more_modes) for both in zip(samplers, solved, strict=True)]
         models = _fitted(plans, calls, progress)
@@ -139,7 +138,7 @@ def train(
     if not asked.blocks:
         return neighbours
     of_blocks = checkpoint.with_suffix(".blocks") if checkpoint else None
-    with Checkpoint(of_blocks, inputs_of_blocks(library)) as record, threadpool_limits(1):
+    with Checkpoint(of_blocks, inputs_of_blocks(library)) as record, one_blas_thread():
         return couple(library, neighbours, asked.blocks, record, calls, progress)
 
 
@@ -254,17 +253,17 @@ def _called(
 
 # One thread, so that the parameters do not depend on the number of cores.
 def _start(task: tuple[_Plan, int]) -> LineModel:
-    with threadpool_limits(1):
+    with one_blas_thread():
         return task[0].start(task[1])
 
 
 def _finish(task: tuple[_Plan, list[LineModel]]) -> LineModel:
-    with threadpool_limits(1):
+    with one_blas_thread():
         return task[0].finish(task[1])
 
 
 def _refit(task: tuple[_Plan, LineModel]) -> TrainedLine:
-    with threadpool_limits(1):
+    with one_blas_thread():
         return task[0].refit(task[1])
 
 

@@ -11,12 +11,11 @@ from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from metafab.cell import CellNumerics, CellSolver, solve
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.figures import BuildStatistics
-from metafab.core.parallel.executor import SerialExecutor
+from metafab.core.parallel.executor import SerialExecutor, one_blas_thread
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.axes import CornerBox, Corners, corner_unit_cell
 from metafab.library.fit.size_grid import SizeGrid
@@ -163,7 +162,7 @@ def _build(
     target = unit_cell.sweep.target_error
     tolerance, corners = MODEL_SHARE * target, None
     # One thread for the fits: their rounding decides which sizes are solved and must not depend on the machine.
-    with threadpool_limits(1):
+    with one_blas_thread():
         cell_numerics = CellNumerics(target_error=SOLVER_SHARE * target, solver=unit_cell.solver.name)
         first_round = grid.size if numerics.every_size else FIRST_ROUND
         size_target = solver_target(unit_cell, every_size=numerics.every_size)

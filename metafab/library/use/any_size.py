@@ -11,13 +11,12 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
 
 from metafab.cell import PillarCell, curved, is_square
 from metafab.cell.rcwa import zero_order
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
-from metafab.core.parallel.executor import SerialExecutor, in_order
+from metafab.core.parallel.executor import SerialExecutor, in_order, one_blas_thread
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.axes import incidence
 from metafab.library.library import Library
@@ -59,7 +58,7 @@ def solved_amplitudes(
     has_elements = all(curved.is_treated(cell) for cell, _ in tasks)
     amplitudes = np.empty((len(tasks), 2), dtype=np.complex128)
     # One thread of linear algebra here as in worker processes, so that results are bit-identical.
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         solve = partial(_solve, has_elements=has_elements)
         for done, t in enumerate(in_order(executor or SerialExecutor(), solve, list(tasks))):
             amplitudes[done] = t
@@ -88,7 +87,7 @@ def solver_error(tasks: Sequence[tuple[PillarCell, int]], amplitudes: ComplexArr
         doubtful = [number for number, (cell, _) in enumerate(tasks) if cell.is_sloped or cell.is_shaped]
         judged = doubtful[:: max(1, len(doubtful) // _JUDGED)][:_JUDGED]
     error = SOLVER_ERROR
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         for number in judged:
             cell, slices = tasks[number]
             if by_elements:
@@ -102,7 +101,7 @@ def solver_error(tasks: Sequence[tuple[PillarCell, int]], amplitudes: ComplexArr
 def _least_converged(tasks: Sequence[tuple[PillarCell, int]], amplitudes: ComplexArray) -> list[int]:
     """Numbers of the cells whose amplitudes change most from the next lower order of the elements."""
     spread = range(0, len(tasks), -(-len(tasks) // _COMPARED) or 1)
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         coarse = [np.diagonal(curved.zero_order(tasks[number][0], _ELEMENT_ORDER - 1).t) for number in spread]
     change = [float(np.abs(t - amplitudes[number]).max()) for number, t in zip(spread, coarse, strict=True)]
     return [spread[place] for place in np.argsort(change)[-_JUDGED:]]

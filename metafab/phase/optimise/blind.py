@@ -12,10 +12,10 @@ from functools import cached_property
 import numpy as np
 from scipy import fft
 from scipy.optimize import minimize
-from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric.phasor import phasor
+from metafab.core.parallel.executor import one_blas_thread
 from metafab.core.parallel.progress import Progress, silent
 from metafab.information.fisher import conjugate_information
 from metafab.information.texture import Texture
@@ -104,7 +104,7 @@ def optimise_blind(
         information, gradient = problem.with_gradient(phase_rad)
         return -float(information.mean()) / scale, -gradient / scale
 
-    with threadpool_limits(1):
+    with one_blas_thread():
         optimum = minimize(
             descend, np.angle(start), jac=True, method="L-BFGS-B", options={"maxiter": iterations, "maxcor": 20}
         )

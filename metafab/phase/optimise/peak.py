@@ -26,10 +26,10 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
 from metafab.core.numeric.phasor import phasor
+from metafab.core.parallel.executor import one_blas_thread
 from metafab.core.parallel.progress import Progress, silent
 from metafab.phase.optimise.rotation import MainLobe, full_turn_defocus_rad, helix_half_width, main_lobe
 from metafab.phase.pupil import Outline, Pupil
@@ -192,7 +192,7 @@ def optimise_peak(
         raise ValueError(f"`zones`: expected at least 2, got {zones}; a plain vortex does not turn with depth")
     pupil = pupil or Pupil()
     # Small matrices: a second BLAS thread costs more than it brings, at times a hundredfold.
-    with threadpool_limits(1):
+    with one_blas_thread():
         progress("phase: peak", 0, 2)
         defocus = full_turn_defocus_rad(zones, max(24, 6 * zones))
         half_width = helix_half_width(zones)

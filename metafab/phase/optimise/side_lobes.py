@@ -15,10 +15,10 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 from scipy.optimize import minimize
-from threadpoolctl import threadpool_limits
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric.phasor import phasor
+from metafab.core.parallel.executor import one_blas_thread
 from metafab.core.parallel.progress import Progress, silent
 from metafab.phase.optimise.peak import PeakDesign, target_waves
 from metafab.phase.optimise.rotation import MainLobe, helix_half_width, main_lobe
@@ -155,7 +155,7 @@ def limit_side_lobes(
     phase_rad = start.term(1.0)(pupil.axis, pupil.axis, "x")[pupil.inside]
     side_lobe = before = measured_side_lobes(pupil, phasor(phase_rad), start.defocus_rad, half_width)
     plain = main_lobe(pupil, spiral_field(pupil, start.zones, exponent), start.defocus_rad, half_width)
-    with threadpool_limits(1):
+    with one_blas_thread():
         if _reduced(before, over) > limit:
             phase_rad, side_lobe = _limited_phases(problem, phase_rad, limit, over, iterations, progress)
     lobe = main_lobe(pupil, phasor(phase_rad), start.defocus_rad, half_width)

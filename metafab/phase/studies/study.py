@@ -12,6 +12,7 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray, FloatArray, image_distance_mm, sensor_distance_um
 from metafab.core.numeric.phasor import phasor
+from metafab.core.parallel.executor import one_blas_thread
 from metafab.information.texture import PointSource, Texture
 from metafab.phase.optimise.rotation import (
     MainLobe,
@@ -59,6 +60,7 @@ class PhaseStudy:
     bandwidth: BandwidthBudget | None
 
 
+@one_blas_thread()
 def study(design: Design, profile: PhaseProfile) -> PhaseStudy:
     """Study the phases of a design with its own depths, electrons, noise and filter."""
     spiral = next((term for term in design.phase if isinstance(term, SpiralZones) and term.zones > 1), None)

@@ -128,6 +128,7 @@ def test_blas_has_its_threads_again_after_blocks_that_overlap() -> None:
 _OVERLAP = """
 import threading
 import numpy
+import scipy.linalg
 from threadpoolctl import threadpool_info
 from metafab.core.parallel.executor import one_blas_thread
 

@@ -1,0 +1,53 @@
+"""Calls that users make in Python keep BLAS to one thread; the command line does so for its whole process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from metafab.camera.rendering.lens import Lens
+from metafab.decode.decoder import Decoder
+from metafab.library.surface import Surface
+from metafab.phase.build import profile_of
+from metafab.phase.studies.study import study
+from metafab.run import run
+
+
+class _ReachedError(Exception):
+    """Ends a call once it looks at its arguments."""
+
+
+class _Probe:
+    """An argument that notes the threads of BLAS when it is looked at."""
+
+    def __init__(self) -> None:
+        self.threads: list[int] = []
+
+    def __getattr__(self, name: str) -> Any:
+        self.threads += [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+        raise _ReachedError
+
+
+_AXIS = np.linspace(100.0, 110.0, 6)
+_CALLS: dict[str, Callable[[Any], Any]] = {
+    "decoder": lambda probe: Decoder.of(probe, (1, 1), (0.0, 0.0)),
+    "photograph": lambda probe: Lens(probe, (probe, probe)).light(probe, probe),
+    "surface of a library": lambda probe: Surface.of_model(_AXIS, _AXIS, probe, np.zeros((6, 6)), 1e-3),
+    "target phases": profile_of,
+    "study of the phases": lambda probe: study(probe, probe),
+    "run": lambda probe: run(probe, Path("nowhere")),
+}
+
+
+@pytest.mark.parametrize("name", _CALLS)
+def test_calls_from_python_have_one_thread_of_blas(name: str) -> None:
+    """On two cores that others used, two threads took ten times the processor time of one for a decoder."""
+    probe = _Probe()
+    with threadpool_limits(2, "blas"), pytest.raises(_ReachedError):
+        _CALLS[name](probe)
+    assert set(probe.threads) == {1}
