@@ -9,6 +9,7 @@
 - ``frames/``     RawFrame and its truth; raw.h5, batches of frames, TIFF, PNG and NumPy files
 """
 
+from metafab.camera.capture import batch as batch
 from metafab.camera.capture import capture, draws, film
 from metafab.camera.exact import exact_psf
 from metafab.camera.frames.batch import Draw as Draw

@@ -8,9 +8,11 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.camera.frames.batch import Draw
 from metafab.camera.frames.frame import RawFrame, Truth
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
+from metafab.camera.rendering.blurs import Blurs
 from metafab.camera.rendering.lens import Lens, partial_progress
 from metafab.camera.rendering.motion import Shutter, moved
 from metafab.camera.rendering.occlusion import PINHOLE, Occluder, visible_piece
@@ -98,7 +100,8 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
     row has its own instants. The truth is that of the middle of each row's exposure. Noise differs from frame to frame;
     textures stay with their objects, and hot pixels in their places.
     """
-    yield from _film(scene, psf, _lenses(scene, psf), scene.seed if seed is None else seed, progress)
+    lenses = _lenses(scene, psf, _blurs(psf))
+    yield from _film(scene, psf, lenses, scene.seed if seed is None else seed, progress)
 
 
 def draws(scene: Scene, psf: Psf, seeds: Iterable[int]) -> Iterator[RawFrame]:
@@ -106,7 +109,23 @@ def draws(scene: Scene, psf: Psf, seeds: Iterable[int]) -> Iterator[RawFrame]:
 
     Blurs are computed once for all seeds, light too if no texture depends on the seed.
     """
-    lenses, first = _lenses(scene, psf), replace(scene, frames=1)
+    yield from _draws(scene, psf, _blurs(psf), seeds)
+
+
+def batch(scenes: Iterable[Scene], psf: Psf, count: int, seed: int) -> Iterator[Draw]:
+    """Expose the first frames of scenes, ``count`` times each, with one seed after the other from ``seed`` on.
+
+    Blurs are computed once for all scenes; see :func:`draws`.
+    """
+    blurs = _blurs(psf)
+    for index, scene in enumerate(scenes):
+        seeds = range(seed + index * count, seed + (index + 1) * count)
+        for number, frame in zip(seeds, _draws(scene, psf, blurs, seeds), strict=True):
+            yield Draw(index, number, frame)
+
+
+def _draws(scene: Scene, psf: Psf, blurs: Sequence[Blurs], seeds: Iterable[int]) -> Iterator[RawFrame]:
+    lenses, first = _lenses(scene, psf, blurs), replace(scene, frames=1)
     is_drawn = any(spec.texture == "fractal" for spec in scene.objects)
     for seed in seeds:
         for lens in lenses if is_drawn else ():
@@ -114,13 +133,17 @@ def draws(scene: Scene, psf: Psf, seeds: Iterable[int]) -> Iterator[RawFrame]:
         yield from _film(first, psf, lenses, seed, silent)
 
 
-def _lenses(scene: Scene, psf: Psf) -> list[Lens]:
-    """The lens, and that of its ghosts behind a birefringent substrate."""
+def _blurs(psf: Psf) -> list[Blurs]:
+    """Blurs of the pair, and of its ghosts behind a birefringent substrate."""
+    pairs = [PairKernels(psf)] if psf.ghost is None else [PairKernels(psf), PairKernels(psf.ghost, psf)]
+    return [Blurs(pair) for pair in pairs]
+
+
+def _lenses(scene: Scene, psf: Psf, blurs: Sequence[Blurs]) -> list[Lens]:
+    """The lens, and that of its ghosts."""
     picture = None if scene.rgbd is None else DepthPicture.of(scene, psf.pixel_um / psf.sensor_distance_um)
-    lenses = [Lens(PairKernels(psf), sensor_windows(scene, psf, ImageMap.from_psf(psf)), picture=picture)]
-    if psf.ghost is not None:
-        lenses.append(Lens(PairKernels(psf.ghost, psf), lenses[0].windows, picture=picture, crossed=True))
-    return lenses
+    windows = sensor_windows(scene, psf, ImageMap.from_psf(psf))
+    return [Lens(each, windows, picture=picture, crossed=number == 1) for number, each in enumerate(blurs)]
 
 
 def _film(scene: Scene, psf: Psf, lenses: Sequence[Lens], seed: int, progress: Progress) -> Iterator[RawFrame]:
@@ -133,7 +156,7 @@ def _film(scene: Scene, psf: Psf, lenses: Sequence[Lens], seed: int, progress: P
         shutter = Shutter.of(scene, number * scene.frame_interval_s, lens.shape[0], pixel_tangent)
         mean_e = np.zeros(lens.shape)
         for each in lenses:
-            each.drop_blurs()
+            each.blurs.drop_many()
         for index, time_s in enumerate(shutter.instants_s.tolist()):
             renderer = replace(still, scene=moved(scene, time_s))
             part = partial_progress(progress, index, shutter.instants_s.size)

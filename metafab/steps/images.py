@@ -142,13 +142,10 @@ def capture_batch(
 
     def frames() -> Iterator[camera.Draw]:
         nonlocal photons, shape
-        for index, (_, scene) in enumerate(scenes):
-            done = index * draws
-            seeds = range(start + done, start + done + draws)
-            for number, frame in zip(seeds, camera.draws(scene, psf, seeds), strict=True):
-                photons, shape = photons + float(frame.frame.sum()), frame.frame.shape
-                progress("capture", number - start + 1, total)
-                yield camera.Draw(index, number, frame)
+        for done, draw in enumerate(camera.batch([scene for _, scene in scenes], psf, draws, start), start=1):
+            photons, shape = photons + float(draw.frame.frame.sum()), draw.frame.frame.shape
+            progress("capture", done, total)
+            yield draw
 
     inputs = fingerprint([scene for _, scene in scenes], draws, start, file_sha256(psf_path))
     names = [file.name for file, _ in scenes]

@@ -9,8 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from metafab.camera.kernels import PairKernels
-from metafab.camera.rendering.blur import FieldBlur
-from metafab.camera.rendering.depth_blur import DepthBlur
+from metafab.camera.rendering.blurs import Blurs
 from metafab.camera.rendering.occlusion import Occluder, hidden_region, padded, shifted, visible_piece, visible_share
 from metafab.camera.rendering.picture import DepthPicture, surfaces
 from metafab.camera.rendering.render import Piece, Renderer, extent
@@ -19,8 +18,6 @@ from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import Progress
 
-#: Blurs that are kept from frame to frame; one of the lens of Shen 2023 takes a megabyte.
-_MOST_BLURS = 256
 #: Key in place of an object's number for a whole image: of a picture, or of a scene in which nothing moves.
 _WHOLE = -1
 
@@ -45,10 +42,8 @@ class Layer:
 class Lens:
     """A lens that blurs scenes, and the blurred layers that later frames of a film share."""
 
-    kernels: PairKernels  #: The PSF pair.
+    blurs: Blurs  #: Blurs of the PSF pair.
     windows: tuple[Window, Window]  #: Of the x and the y image.
-    #: Blurs of both polarisations by depth.
-    blurs: dict[float, tuple[FieldBlur, FieldBlur]] = field(default_factory=dict)
     #: Layers of the objects that do not move, by (polarisation, number): each is blurred once in a film,
     #: less the light that other objects at rest hide. Where nothing moves, the image as a whole.
     still: dict[tuple[int, int], Layer] = field(default_factory=dict)
@@ -56,6 +51,11 @@ class Lens:
     picture: DepthPicture | None = None
     #: Whether the kernels are those of ghosts: in each image, light of the other polarisation (birefringent substrate).
     crossed: bool = False
+
+    @property
+    def kernels(self) -> PairKernels:
+        """The PSF pair."""
+        return self.blurs.kernels
 
     @property
     def left(self) -> int:
@@ -74,11 +74,6 @@ class Lens:
         right = max(window.column + window.stop.shape[1] for window in self.windows) + margin_x // 2
         top = max(window.row + window.stop.shape[0] for window in self.windows) + margin_y // 2
         return top - self.bottom, right - self.left
-
-    def drop_blurs(self) -> None:
-        """Delete the blurs of past depths if they are many."""
-        if len(self.blurs) > _MOST_BLURS:
-            self.blurs.clear()
 
     def forget_textures(self) -> None:
         """Delete the blurred objects, whose textures another draw changes; a picture stays."""
@@ -145,7 +140,7 @@ class Lens:
         window = self.windows[polarisation]
         directions = (window.tangent_x, window.tangent_y)
         channel = self._channel(polarisation)
-        blur = DepthBlur.of(self.kernels, polarisation)
+        blur = self.blurs.over_depths(polarisation)
         for surface in surfaces(picture, *directions, self.kernels.psf.depth_m, self._shifts(window), channel):
             image = blur(surface.brightness * window.gain * window.stop, surface.vergence_per_m, *directions)
             light[: image.shape[0], : image.shape[1]] += image
@@ -192,9 +187,7 @@ class Lens:
         own = padded(mask, margin)
         share = visible_share(replace(own, coverage=np.ones_like(own.coverage)), nearer, self._shifts(window))
         depth_m = float(1.0 / np.average(mask.vergence_per_m, weights=mask.coverage + 1e-12))
-        if depth_m not in self.blurs:
-            self.blurs[depth_m] = FieldBlur.at_depth(self.kernels, depth_m)
-        blur = self.blurs[depth_m][polarisation]
+        blur = self.blurs.at_depth(depth_m, polarisation)
         parts = (own.rows, own.columns)
         inside = np.ix_(
             *(np.clip(np.arange(p.start, p.stop), 0, n - 1) for p, n in zip(parts, window.stop.shape, strict=True))
@@ -247,11 +240,8 @@ class Lens:
             rows, columns = extent(lit.any(axis=1)), extent(lit.any(axis=0))
             crop = (shifted(rows, piece.rows.start), shifted(columns, piece.columns.start))
             flux = self._share(piece, polarisation) * window.gain[crop] * brightness[rows, columns]
-            if depth_m not in self.blurs:
-                self.blurs[depth_m] = FieldBlur.at_depth(self.kernels, float(depth_m))
-            blurred = self.blurs[depth_m][polarisation](
-                flux * window.stop[crop], window.tangent_x[crop], window.tangent_y[crop]
-            )
+            blur = self.blurs.at_depth(float(depth_m), polarisation)
+            blurred = blur(flux * window.stop[crop], window.tangent_x[crop], window.tangent_y[crop])
             height, width = blurred.shape
             light[rows.start : rows.start + height, columns.start : columns.start + width] += blurred
         return shifted(slice(0, n_y), piece.rows.start), shifted(slice(0, n_x), piece.columns.start), light

@@ -145,15 +145,33 @@ def _open_share(
 ) -> FloatArray:
     """Share of the aperture that sees points of vergence ``start`` past the surface; 1 if not asked: (n_y, n_x)."""
     reach = float(np.abs(shifts_px_m).max())
-    jump, margin = _jump(reach), int(np.ceil(reach * float(np.ptp(vergence)))) + 1
-    nearer = maximum_filter(vergence, 2 * margin + 1, mode="nearest") - start > jump
-    share = np.ones(vergence.shape)
-    rows, columns = np.nonzero(np.logical_and(asked, nearer))
-    if reach > 0.0 and rows.size:
-        open_share = np.zeros(rows.size)
-        spread(_march, rows.size, vergence, start[rows, columns], rows, columns, shifts_px_m, jump, open_share)
+    jump, share = _jump(reach), np.ones(vergence.shape)
+    if reach == 0.0:
+        return share
+    highest = highest_met(vergence, start, float(np.hypot(*shifts_px_m.T).max()), jump)
+    rows, columns = np.nonzero(np.logical_and(asked, highest > start))
+    if rows.size:
+        open_share, ends = np.zeros(rows.size), (start[rows, columns], highest[rows, columns])
+        spread(_march, rows.size, vergence, *ends, rows, columns, shifts_px_m, jump, open_share)
         share[rows, columns] = open_share
     return share
+
+
+def highest_met(vergence: FloatArray, start: FloatArray, reach_px_m: float, jump: float) -> FloatArray:
+    """Highest vergence of a surface below which a ray from vergence ``start`` can pass: shape (n_y, n_x).
+
+    When a ray comes to a place it has risen by its length over ``reach_px_m``, or more, and passes above what lies
+    lower there. -inf where rays pass above everything, and where nothing within reach is nearer by a jump.
+    """
+    margin = int(np.ceil(reach_px_m * float(np.ptp(vergence)))) + 1
+    highest, inner = np.full(vergence.shape, -np.inf), 0
+    for outer in (*(1 << k for k in range(margin.bit_length()) if 1 << k < margin), margin):
+        top = maximum_filter(vergence, 2 * outer + 1, mode="nearest")
+        # Places beyond the inner window are at least half a pixel beyond it before they are rounded.
+        risen = start + (inner + 0.5) / reach_px_m * (inner > 0)
+        np.maximum(highest, top, out=highest, where=top > risen + 0.25 * jump)
+        inner = outer
+    return np.where(top - start > jump, highest, -np.inf)
 
 
 @compiled
@@ -162,6 +180,7 @@ def _march(
     stop: int,
     vergence: FloatArray,
     start: FloatArray,
+    highest: FloatArray,
     rows: NDArray[np.intp],
     columns: NDArray[np.intp],
     points: FloatArray,
@@ -170,17 +189,17 @@ def _march(
 ) -> None:
     """Write the share of the rays to the aperture points that meet no surface: shape of ``rows``.
 
-    A ray is followed in steps of half a pixel from vergence ``start`` to the nearest surface's. It is stopped where it
-    meets a continuous surface from behind, and passes where the surface ends in a jump.
+    A ray is followed in steps of half a pixel from vergence ``start`` to ``highest`` (:func:`highest_met`), which have
+    the shape of ``rows``. It is stopped where it meets a continuous surface from behind, and passes where the surface
+    ends in a jump.
     """
     n_y, n_x = vergence.shape
-    highest = vergence.max()
     for index in range(first, stop):
         for point in range(points.shape[0]):
             x_px, y_px = points[point, 0], points[point, 1]
-            length = np.hypot(x_px, y_px) * (highest - start[index])
+            length = np.hypot(x_px, y_px) * (highest[index] - start[index])
             steps = int(np.ceil(2.0 * length)) + 1
-            step = (highest - start[index]) / steps
+            step = (highest[index] - start[index]) / steps
             last = vergence[rows[index], columns[index]]
             below = start[index] - last < -jump
             is_open = 1.0

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from metafab.camera import ImageMap, PairKernels
+from metafab.camera.rendering.blurs import Blurs
 from metafab.camera.rendering.lens import Lens
 from metafab.camera.rendering.render import Renderer
 from metafab.camera.rendering.windows import sensor_windows
@@ -38,7 +39,7 @@ def surface(
 def rendered(psf: Psf, *objects: SceneObject) -> tuple[FloatArray, Renderer, Lens]:
     """The x image with its margin: the light of each pixel."""
     scene = Scene(objects=objects, field_px=(48, 48), photons_per_pixel=1.0, vignetting="none")
-    lens = Lens(PairKernels(psf), sensor_windows(scene, psf, ImageMap.from_psf(psf)))
+    lens = Lens(Blurs(PairKernels(psf)), sensor_windows(scene, psf, ImageMap.from_psf(psf)))
     renderer = Renderer.of(scene, psf.pixel_um / psf.sensor_distance_um, 1)
     window = lens.windows[0]
     row, column = window.row - lens.bottom - 24, window.column - lens.left - 24

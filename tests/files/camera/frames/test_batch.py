@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pytest
 
-from metafab.camera import Draw, capture, draws, load_draw, save_batch
+from metafab.camera import Draw, batch, capture, load_draw, save_batch
 from metafab.camera.frames.frame import Truth
 from metafab.core.errors import InputError
 from metafab.optics.point_spread import Psf
@@ -34,16 +34,11 @@ def psf() -> Psf:
 
 @pytest.fixture(scope="module")
 def all_draws(psf: Psf) -> list[Draw]:
-    seeds = (range(5, 7), range(7, 9))
-    return [
-        Draw(index, seed, frame)
-        for index, scene in enumerate(SCENES)
-        for seed, frame in zip(seeds[index], draws(scene, psf, seeds[index]), strict=True)
-    ]
+    return list(batch(SCENES, psf, 2, 5))
 
 
 @pytest.fixture(scope="module")
-def batch(psf: Psf, all_draws: list[Draw], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def batch_file(psf: Psf, all_draws: list[Draw], tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("batch") / "batch.h5"
     save_batch(iter(all_draws), len(all_draws), ["one.toml", "two.toml"], psf, path)
     return path
@@ -56,9 +51,9 @@ def test_each_draw_is_the_frame_of_its_seed(psf: Psf, all_draws: list[Draw]) -> 
     assert (all_draws[0].frame.frame != all_draws[1].frame.frame).mean() > 0.9
 
 
-def test_frames_survive_their_file_in_single_precision(batch: Path, all_draws: list[Draw]) -> None:
+def test_frames_survive_their_file_in_single_precision(batch_file: Path, all_draws: list[Draw]) -> None:
     for number, draw in enumerate(all_draws):
-        back = load_draw(batch, number)
+        back = load_draw(batch_file, number)
         assert (back.scene, back.seed) == (draw.scene, draw.seed)
         np.testing.assert_array_equal(back.frame.frame, draw.frame.frame.astype(np.float32))
         assert back.frame.truth is not None
@@ -69,8 +64,8 @@ def test_frames_survive_their_file_in_single_precision(batch: Path, all_draws: l
             assert getattr(back.frame, name) == getattr(draw.frame, name)
 
 
-def test_a_learner_finds_all_of_it_without_metafab(batch: Path, psf: Psf) -> None:
-    with h5py.File(batch) as file:
+def test_a_learner_finds_all_of_it_without_metafab(batch_file: Path, psf: Psf) -> None:
+    with h5py.File(batch_file) as file:
         assert file["seed"][...].tolist() == [5, 6, 7, 8]
         assert file["scene"][...].tolist() == [0, 0, 1, 1]
         assert file["scene_file"][...].tolist() == [b"one.toml", b"two.toml"]
@@ -106,11 +101,11 @@ def test_a_full_disk_is_an_error_before_a_frame_is_written(
 
 
 @pytest.mark.parametrize("number", [-1, 4])
-def test_a_missing_frame_and_a_damaged_file_are_refused(batch: Path, tmp_path: Path, number: int) -> None:
+def test_a_missing_frame_and_a_damaged_file_are_refused(batch_file: Path, tmp_path: Path, number: int) -> None:
     with pytest.raises(InputError, match=f"0 to 3, got {number}"):
-        load_draw(batch, number)
+        load_draw(batch_file, number)
     damaged = tmp_path / "damaged.h5"
-    content = bytearray(batch.read_bytes())
+    content = bytearray(batch_file.read_bytes())
     content[len(content) // 2] ^= 1
     damaged.write_bytes(content)
     with pytest.raises(InputError, match="damaged"):

@@ -8,6 +8,7 @@ import numpy as np
 
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
+from metafab.camera.rendering.blurs import Blurs
 from metafab.camera.rendering.lens import Lens
 from metafab.camera.rendering.motion import moved
 from metafab.camera.rendering.render import Renderer
@@ -26,7 +27,7 @@ def test_a_lens_that_remembers_what_stands_still_sees_what_a_new_one_sees() -> N
     psf = helix_psf(np.linspace(0.0025, 0.0034, 7), window_px=32)
 
     def lens() -> Lens:
-        return Lens(PairKernels(psf), sensor_windows(SCENE, psf, ImageMap.from_psf(psf)))
+        return Lens(Blurs(PairKernels(psf)), sensor_windows(SCENE, psf, ImageMap.from_psf(psf)))
 
     first = Renderer.of(SCENE, psf.pixel_um / psf.sensor_distance_um, 1)
     later = Renderer(moved(SCENE, 0.04), first.textures)
@@ -41,12 +42,12 @@ def test_a_lens_that_remembers_what_stands_still_sees_what_a_new_one_sees() -> N
 def test_a_scene_at_rest_is_rendered_once() -> None:
     psf = helix_psf(np.linspace(0.0025, 0.0034, 7), window_px=32)
     scene = replace(SCENE, objects=(WALL, POST))
-    used = Lens(PairKernels(psf), sensor_windows(scene, psf, ImageMap.from_psf(psf)))
+    used = Lens(Blurs(PairKernels(psf)), sensor_windows(scene, psf, ImageMap.from_psf(psf)))
     renderer = Renderer.of(scene, psf.pixel_um / psf.sensor_distance_um, 1)
     first = used.light(renderer, silent)
-    used.blurs.clear()
+    used.blurs.of_depths.clear()
     np.testing.assert_array_equal(used.light(renderer, silent), first)
-    assert not used.blurs  # nothing was blurred again
+    assert not used.blurs.of_depths  # nothing was blurred again
     used.forget_textures()
     other = used.light(Renderer.of(scene, psf.pixel_um / psf.sensor_distance_um, 2), silent)
     assert np.abs(other - first).max() > 10.0
@@ -56,7 +57,7 @@ def test_what_moves_hides_what_stands_still_as_if_it_stood_there() -> None:
     psf = helix_psf(np.linspace(0.0025, 0.0034, 7), window_px=32)
 
     def light(scene: Scene, *earlier: Scene) -> np.ndarray:
-        lens = Lens(PairKernels(psf), sensor_windows(scene, psf, ImageMap.from_psf(psf)))
+        lens = Lens(Blurs(PairKernels(psf)), sensor_windows(scene, psf, ImageMap.from_psf(psf)))
         first = Renderer.of(scene, psf.pixel_um / psf.sensor_distance_um, 1)
         for one in earlier:
             lens.light(Renderer(one, first.textures), silent)
