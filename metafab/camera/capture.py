@@ -116,8 +116,9 @@ def draws(scene: Scene, psf: Psf, seeds: Iterable[int]) -> Iterator[RawFrame]:
 
 def _lenses(scene: Scene, psf: Psf) -> list[Lens]:
     """The lens, and that of its ghosts behind a birefringent substrate."""
+    windows = sensor_windows(scene, psf, ImageMap.from_psf(psf))
     picture = None if scene.rgbd is None else DepthPicture.of(scene, psf.pixel_um / psf.sensor_distance_um)
-    lenses = [Lens(PairKernels(psf), sensor_windows(scene, psf, ImageMap.from_psf(psf)), picture=picture)]
+    lenses = [Lens(PairKernels(psf), windows, picture=picture)]
     if psf.ghost is not None:
         lenses.append(Lens(PairKernels(psf.ghost, psf), lenses[0].windows, picture=picture, crossed=True))
     return lenses
