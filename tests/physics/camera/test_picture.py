@@ -189,3 +189,11 @@ def test_a_field_beyond_all_memory_is_refused_before_any_is_taken(psf: Psf, tmp_
     scene = picture(tmp_path, np.ones((SIDE, SIDE)), np.full((SIDE, SIDE), 0.00283))
     with pytest.raises(InputError, match=r"field_px.*at most 1.6e.07 pixels.*got 1000000 x 1000000"):
         capture(replace(scene, field_px=(1_000_000, 1_000_000)), psf)
+
+
+def test_all_missing_files_are_named(psf: Psf, tmp_path: Path) -> None:
+    scene = picture(tmp_path, np.ones((SIDE, SIDE)), np.full((SIDE, SIDE), 0.00283), contrast_file=tmp_path)
+    (tmp_path / "light.npy").unlink()
+    with pytest.raises(InputError) as refused:
+        capture(scene, psf)
+    assert [fault.field for fault in refused.value.faults] == ["rgbd.image_file", "rgbd.contrast_file"]
