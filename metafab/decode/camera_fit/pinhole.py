@@ -129,7 +129,7 @@ def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
     """
     try:
         require_modest_table(path)
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError.single(str(path), "file", "a readable table of depths", str(error)) from error
     table: dict[str, float] = {}
