@@ -141,8 +141,8 @@ def _blurs(psf: Psf) -> list[Blurs]:
 
 def _lenses(scene: Scene, psf: Psf, blurs: Sequence[Blurs]) -> list[Lens]:
     """The lens, and that of its ghosts."""
-    picture = None if scene.rgbd is None else DepthPicture.of(scene, psf.pixel_um / psf.sensor_distance_um)
     windows = sensor_windows(scene, psf, ImageMap.from_psf(psf))
+    picture = None if scene.rgbd is None else DepthPicture.of(scene, psf.pixel_um / psf.sensor_distance_um)
     return [Lens(each, windows, picture=picture, crossed=number == 1) for number, each in enumerate(blurs)]
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -26,7 +25,7 @@ HELP = {"help_option_names": ["-h", "--help"]}
 
 
 class _Command(TyperCommand):
-    """A command that states bad values in our words and refuses to write its result over one of its input files."""
+    """A command that states bad values in our words, and refuses a result over an input or where none can stand."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -47,10 +46,13 @@ class _Command(TyperCommand):
 
     def invoke(self, ctx: Any) -> Any:
         output = ctx.params.get("output")
-        read = [value for name, value in ctx.params.items() if name != "output" and isinstance(value, Path)]
-        if isinstance(output, Path) and output.is_file() and any(p.is_file() and p.samefile(output) for p in read):
-            expected = "a file of its own"
-            raise InputError.single("--output", "output", expected, f"{output}, which is read", "name another")
+        given = [value for name, value in ctx.params.items() if name != "output"]
+        lists = [value if isinstance(value, list | tuple) else [value] for value in given]
+        read = [value for values in lists for value in values if isinstance(value, Path)]
+        if isinstance(output, Path):
+            from metafab.core.storage.files import require_output
+
+            require_output(output, read)
         with noted(f"`{' '.join([_called(ctx), *map(str, read)])}`"):
             return super().invoke(ctx)
 
@@ -175,10 +177,17 @@ def open_job(design: Path, folder: Path | None, work: Work) -> Job:
 
 
 def require_finite(option: str, *values: float | None, positive: bool = False) -> None:
-    """Check that all values of an option are finite (and above zero); None stands for an option that is not given."""
+    """Check that all values of an option are finite (and above zero), up to the largest number of a file.
+
+    None stands for an option that is not given.
+    """
     given = [value for value in values if value is not None]
-    if wrong := [f"{value:g}" for value in given if not math.isfinite(value) or (positive and value <= 0.0)]:
-        expected = "a number above zero" if positive else "a finite number"
+    if not given:
+        return
+    from metafab.spec.fields import LARGEST
+
+    if wrong := [f"{value:g}" for value in given if not abs(value) <= LARGEST or (positive and value <= 0.0)]:
+        expected = f"a number above zero, at most {LARGEST:g}" if positive else f"a finite number up to {LARGEST:g}"
         raise InputError.single(option, option.removeprefix("--"), expected, ", ".join(wrong))
 
 

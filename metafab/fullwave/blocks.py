@@ -31,6 +31,7 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.core.parallel.progress import Progress, silent
+from metafab.core.storage.files import unique_keys
 from metafab.core.storage.limits import beyond, limit
 from metafab.fullwave.written import site_cell
 from metafab.library import Library
@@ -86,7 +87,7 @@ def read_blocks(path: Path, library: Library, solver: Solver = "rcwa") -> list[S
         most_mb = limit("memory_mb", _LARGEST_MB)
         if (size := path.stat().st_size) > 1e6 * most_mb:
             raise beyond(str(path), "file", "memory_mb", f"at most {most_mb:g} MB", f"{size} bytes", by_design=False)
-        table = json.loads(path.read_text(encoding="utf-8-sig"))
+        table = json.loads(path.read_text(encoding="utf-8-sig"), object_pairs_hook=unique_keys)
     except FileNotFoundError:
         raise InputError.single(str(path), "file", "a JSON file", "no file at that path", "check the path") from None
     except (OSError, ValueError, RecursionError) as error:

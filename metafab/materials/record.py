@@ -73,7 +73,7 @@ def read_table(path: Path, name: str) -> IndexRecord:
 
     try:
         require_modest_table(path)
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
         rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise refuse(f"an unreadable file ({error})") from error

@@ -19,6 +19,7 @@ from metafab.core.errors import Fault, InputError
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.measures.metrics import main_lobe_px, orientation_deg
 from metafab.optics.point_spread import Psf, PsfField
+from metafab.spec.fields import LARGEST
 
 #: Rule for the centre of a channel: mean over depth of the mass centres or of the main lobes, the centre of the circle
 #: on which the main lobe turns, or the middle pixel. "auto" is "turn" where a circle fits and "mass" elsewhere.
@@ -31,6 +32,12 @@ _SMALLEST_PX = 8
 _BORDER = 1.0 / 16.0
 #: Standard deviations of the border's noise below which a pixel counts as dark.
 _SIGMAS = 3.0
+#: Standard deviations of noise that no pixel of a dark picture exceeds: of 10^6 pixels, 0.001 do by chance.
+_DARK_SIGMAS = 6.0
+#: Largest value of a stack, and inverse of its smallest: far from where powers overflow.
+_MOST_PEAK = 1e50
+#: Pixels of a picture that share exactly its largest value without saturation: four by a centred, symmetric spot.
+_MOST_PEAKS = 4
 #: Standard deviation of normal noise over its median absolute deviation.
 _MAD = 1.4826
 #: A circle fits main lobes with an rms residual up to this share of its radius, over this arc at least (degrees).
@@ -102,6 +109,7 @@ def psf_of_stack(
     """
     depth, zero, made = _checked(stack, np.asarray(depth_m, dtype=np.float64), pixel_um, zero_m)
     lit, background, noise = _without_background(stack, depth)
+    shared = (stack == stack.max(axis=(-2, -1), keepdims=True)).sum(axis=(-2, -1))
     channels, _, n_y, n_x = stack.shape
     rules, centres = zip(*(_centre_px(channel, centring) for channel in lit), strict=True)
     pair = np.array([_moved(channel, place, integrated) for channel, place in zip(lit, centres, strict=True)])
@@ -128,6 +136,9 @@ def psf_of_stack(
     warnings = []
     if crowded > _CROWDED:
         warnings.append(f"{100.0 * crowded:.2g} % of a picture's light lies in its border: photograph a larger window")
+    if (most := int(shared.max())) > _MOST_PEAKS:
+        where, brightest = np.unravel_index(shared.argmax(), shared.shape), "share exactly its largest value"
+        warnings.append(f"{most} pixels of the picture at {depth[where[1]]:g} m {brightest}: is it saturated?")
     psf = Psf(
         depth_m=depth,
         pixel_um=pixel_um,
@@ -174,13 +185,18 @@ def _checked(
     if not np.isfinite(stack).all():
         got = f"{int((~np.isfinite(stack)).sum())} values NaN or infinite"
         faults.append(Fault("stack", "finite values", got, "repair dead pixels before the import"))
+    elif (peak := float(np.abs(stack).max(initial=0.0))) and not 1.0 / _MOST_PEAK <= peak <= _MOST_PEAK:
+        expected = f"values whose largest lies between {1.0 / _MOST_PEAK:g} and {_MOST_PEAK:g}"
+        faults.append(Fault("stack", expected, f"{peak:g}", "scale them"))
     if depth_m.size < FEWEST_DEPTHS:
         faults.append(Fault("depths", f"{FEWEST_DEPTHS} or more, as decoding needs", f"{depth_m.size}"))
     elif not (np.isfinite(depth_m).all() and (np.diff(depth_m) > 0.0).all()):
         remedy = "sort the pictures by depth, nearest first"
         faults.append(Fault("depths", "finite, increasing depths in metres", _listed(depth_m), remedy))
-    if not 0.0 < pixel_um < math.inf:
-        faults.append(Fault("pixel_um", "a number above zero", f"{pixel_um:g}"))
+    elif depth_m[-1] > LARGEST:
+        faults.append(Fault("depths", f"depths in metres, at most {LARGEST:g}", _listed(depth_m)))
+    if not 0.0 < pixel_um <= LARGEST:
+        faults.append(Fault("pixel_um", f"a number above zero, at most {LARGEST:g}", f"{pixel_um:g}"))
     if faults:
         raise InputError("PSF stack", faults)
     made = []
@@ -190,8 +206,9 @@ def _checked(
         zero = float(np.ptp(depth_m) - depth_m[0])
         made.append(f"depth 0 of the file: {zero:g} m from the lens; subtract it from decoded depths")
     depth = depth_m + zero
-    if not (math.isfinite(zero) and depth[0] > 0.0):
-        expected, got = "a distance that puts all depths before the lens", f"{zero:g} m, nearest depth {depth[0]:g} m"
+    if not (abs(zero) <= LARGEST and depth[0] > 0.0 and (np.diff(depth) > 0.0).all()):
+        expected = f"a distance up to {LARGEST:g} m that keeps all depths before the lens, and apart"
+        got = f"{zero:g} m, nearest depth {depth[0]:g} m"
         raise InputError.single("PSF stack", "zero_m", expected, got)
     return depth, zero, made
 
@@ -212,14 +229,15 @@ def _border(shape: tuple[int, int]) -> FloatArray:
 def _without_background(stack: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Pictures less the median of their border, 0 below three standard deviations of its noise.
 
-    Also background and standard deviation of each, shape (channels, n_depth).
+    Also background and standard deviation of each, shape (channels, n_depth). InputError if no pixel of a picture is
+    brighter than noise alone.
     """
     ring = stack[..., _border(stack.shape[2:]) > 0.0]
     background = np.median(ring, axis=-1)
     noise = _MAD * np.median(np.abs(ring - background[..., None]), axis=-1)
     lit = stack - background[..., None, None]
     lit = np.where(lit > _SIGMAS * noise[..., None, None], lit, 0.0)
-    dark = np.argwhere(lit.sum(axis=(-2, -1)) <= 0.0)
+    dark = np.argwhere(lit.max(axis=(-2, -1)) <= _DARK_SIGMAS * noise)
     if dark.size:
         where = ", ".join(f"channel {c + 1} at {depth_m[d]:g} m" for c, d in dark[:4])
         expected = "light above the background in each picture"

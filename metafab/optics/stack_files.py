@@ -72,8 +72,10 @@ def read_depths(path: Path) -> FloatArray:
         return values.astype(np.float64).ravel()
     try:
         require_modest_table(path)
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
         words = [word for line in lines for word in line.partition("#")[0].replace(",", " ").split()]
+        if not words:
+            raise ValueError("no number")
         return np.array([float(word) for word in words])
     except (OSError, ValueError) as error:
         remedy = "one depth in metres a line"

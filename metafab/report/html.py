@@ -46,8 +46,8 @@ def prose(text: Any) -> str:
 
 
 def note(text: str) -> str:
-    """A remark in place of something missing."""
-    return paragraph(prose(text) + ".", "note")
+    """A remark in place of something missing; it ends with a full stop unless it asks."""
+    return paragraph(prose(text if text.endswith("?") else f"{text}."), "note")
 
 
 def figure(svg: str, caption: str = "") -> str:

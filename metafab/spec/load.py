@@ -70,6 +70,7 @@ def load_design(path: Path | str) -> Design:
     if isinstance(table.get("library"), str):
         table["library"] = os.path.realpath(path.parent / table["library"])
     skip = {key for key in ("unit_cell", "scene", "process") if table.get(key) is _FAULTY}
+    skip |= {fault.field for fault in faults} & {"library"}
     try:
         design: Design | None = adapter(Design).validate_python({k: v for k, v in table.items() if k not in skip})
     except ValidationError as error:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -22,6 +23,8 @@ from metafab.spec.load import load_unit_cell_of
 _WRITE_FIELD_PM, _DIVISIBLE = 500_000_000, 12
 
 _UNIT_CELL = "sos_800nm.toml"
+#: Names that a design may have (:data:`metafab.spec.fields.Name`), without dots, behind which the file would end.
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
 def kinds() -> dict[str, str]:
@@ -74,7 +77,7 @@ def write_new(
     """Write ``folder/name.toml`` and the sample files of its kind; return the files, the design first.
 
     Args:
-        name: design name; letters, digits, ``_`` and ``-``.
+        name: design name; letters, digits, ``_`` and ``-``, as a design may have it.
         kind: one of :func:`kinds`.
         folder: output folder, created if missing.
         library: unit-cell file or built library; None for the paper's: that in ``unitcell_lib`` of the folder or of a
@@ -87,8 +90,9 @@ def write_new(
     """
     if kind not in kinds():
         raise InputError.single("new", "kind", f"one of {', '.join(kinds())}", repr(kind), near(kind, kinds()))
-    if not name or not all(letter.isalnum() or letter in "_-" for letter in name):
-        raise InputError.single("new", "name", "letters, digits, _ and -", repr(name), "the file's ending is added")
+    if not _NAME.fullmatch(name):
+        expected = "up to 64 of a-z, A-Z, digits, _ and -, a letter or digit first"
+        raise InputError.single("new", "name", expected, repr(name), "the file's ending is added")
     supplied = resources.files("metafab.spec") / "unit_cells" / _UNIT_CELL
     known = _unit_cell_near(folder) if library is None else library
     unit_cell = folder / _UNIT_CELL if known is None else known

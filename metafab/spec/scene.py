@@ -12,7 +12,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import FloatArray
-from metafab.core.errors import InputError
+from metafab.core.errors import Fault, InputError
 from metafab.core.storage.pictures import read_counts
 from metafab.spec.fields import CONFIG, Checked, Fraction, NonNegative, Positive, Real
 
@@ -92,8 +92,14 @@ class Rgbd(Checked):
     def depths_m(self) -> FloatArray:
         """Depths of the file, shape (n_y, n_x), top row first; NaN where they are unknown.
 
-        A file that cannot be read, or whose depths make no sense, raises InputError.
+        A file of the table that is missing (all of them are named), one that cannot be read, or whose depths make no
+        sense, raises InputError.
         """
+        named = {"image_file": self.image_file, "depth_file": self.depth_file, "contrast_file": self.contrast_file}
+        missing = [(key, path) for key, path in named.items() if path is not None and not path.is_file()]
+        if missing:
+            faults = [Fault(f"rgbd.{key}", "a file", f"none at {path}", "check the path") for key, path in missing]
+            raise InputError("scene", faults)
         values, largest_count = read_counts(self.depth_file)
         source, field = str(self.depth_file), "rgbd.depth_file"
         if largest_count is not None:

@@ -136,9 +136,12 @@ def capture_batch(
             expected, got = ("{} x {} pixels".format(*one.field_px) for one in (scenes[0][1], scene))
             expected += f", the field of {scenes[0][0].name}"
             raise InputError.single(str(file), "field_px", expected, got, "give all scenes one field")
-    psf, total, photons = optics.load(psf_path), draws * len(scenes), 0.0
+    start, total = scenes[0][1].seed if seed is None else seed, draws * len(scenes)
+    if start + total > np.iinfo(np.int64).max:
+        expected = f"a seed that leaves {total} more below 2^63, which the file holds"
+        raise InputError.single(str(scenes[0][0]), "seed", expected, f"{start}", "start with a smaller one")
+    psf, photons = optics.load(psf_path), 0.0
     shape: tuple[int, ...] = ()
-    start = scenes[0][1].seed if seed is None else seed
 
     def frames() -> Iterator[camera.Draw]:
         nonlocal photons, shape

@@ -158,20 +158,20 @@ def test_a_failure_names_the_work_the_file_and_the_remedy(
 ) -> None:
     taken = tmp_path / "taken"
     taken.write_text("a file")
-    monkeypatch.setattr(sys, "argv", ["metafab", "new", "lens", "--kind", "metalens", "-o", str(taken / "out")])
+    monkeypatch.setattr(sys, "argv", ["metafab", "new", "lens", "--kind", "metalens", "-o", str(taken)])
     with pytest.raises(SystemExit) as ended:
         entry.main()
     said = capsys.readouterr().err
     assert ended.value.code == 1
     assert len(said.strip().splitlines()) == 1
-    for part in ("NotADirectoryError", str(taken), "`metafab new`", "name another path with `-o`"):
+    for part in ("FileExistsError", str(taken), "`metafab new`", "name another path with `-o`"):
         assert part in said
 
 
 def test_debug_is_an_option_of_the_program(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("a file")
-    call = ["new", "lens", "--kind", "metalens", "-o", str(tmp_path / "taken" / "out")]
-    for options, begins in (([], "metafab: NotADirectoryError"), (["--debug"], "Traceback")):
+    call = ["new", "lens", "--kind", "metalens", "-o", str(tmp_path / "taken")]
+    for options, begins in (([], "metafab: FileExistsError"), (["--debug"], "Traceback")):
         answer = metafab(*options, *call, cwd=tmp_path)
         assert answer.code == 1
         assert answer.stderr.startswith(begins)

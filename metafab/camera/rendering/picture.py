@@ -18,6 +18,7 @@ from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import spread
 from metafab.core.storage.pictures import read_grey
+from metafab.spec.fields import LARGEST
 from metafab.spec.scene import Scene
 
 #: Smallest brightness relative to the picture's mean: no surface is blacker.
@@ -55,13 +56,17 @@ class DepthPicture:
         for name, values in (("depth_file", depth_m), ("contrast_file", contrast)):
             if values.shape != grey.shape:
                 raise InputError.single(f"{spec.image_file}", f"rgbd.{name}", f"shape {grey.shape}", f"{values.shape}")
-        if not np.isfinite(grey).all() or grey.min() < 0.0 or grey.max() <= 0.0:
-            expected = "finite light, not below zero"
-            raise InputError.single(str(spec.image_file), "rgbd.image_file", expected, "otherwise")
-        if not (np.isfinite(contrast) & (contrast > 0.0)).all():
-            expected = "ratios I_x / I_y above zero"
-            raise InputError.single(str(spec.contrast_file), "rgbd.contrast_file", expected, "otherwise")
-        brightness = np.maximum(_averaged(grey, shape) / grey.mean(), _DARKEST)
+        sound = np.isfinite(grey) & (grey >= 0.0)
+        if not sound.all() or grey.max() <= 0.0:
+            expected = "finite light, not below zero, and some above"
+            raise InputError.single(str(spec.image_file), "rgbd.image_file", expected, _unsound(grey, sound))
+        sound = (contrast > 0.0) & (contrast <= LARGEST)
+        if not sound.all():
+            expected = f"ratios I_x / I_y above zero, at most {LARGEST:g}"
+            raise InputError.single(str(spec.contrast_file), "rgbd.contrast_file", expected, _unsound(contrast, sound))
+        # Relative to the largest value first: resampling is in single precision, and the light in any unit.
+        light = grey / grey.max()
+        brightness = np.maximum(_averaged(light / light.mean(), shape), _DARKEST)
         half = (0.5 * pixel_tangent * shape[1], 0.5 * pixel_tangent * shape[0])
         places = [((np.arange(n) + 0.5) * m / n).astype(int) for n, m in zip(shape, depth_m.shape, strict=True)]
         return cls(brightness, depth_m[np.ix_(*places)], _averaged(contrast, shape), half)
@@ -216,6 +221,12 @@ def _march(
             if below:
                 is_open = 0.0
             share[index] += is_open / points.shape[0]
+
+
+def _unsound(values: FloatArray, sound: NDArray[np.bool_]) -> str:
+    """Number and first example of a picture's values that are not ``sound``; "0 everywhere" if all are."""
+    wrong = values[~sound]
+    return f"{wrong.size} other values, such as {wrong[0]:g}" if wrong.size else "0 everywhere"
 
 
 def _averaged(values: FloatArray, shape: tuple[int, int]) -> FloatArray:

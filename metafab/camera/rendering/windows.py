@@ -11,8 +11,12 @@ from metafab.camera.geometry import ImageMap
 from metafab.camera.rendering.occlusion import PINHOLE
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.core.storage.limits import beyond, limit
 from metafab.optics.point_spread import Psf
 from metafab.spec.scene import Scene
+
+#: Memory of a frame for each pixel of the field (bytes; 190 to 250 measured), and what it may take by default (MB).
+_BYTES_OF_A_PIXEL, _MOST_MB = 256, 4096.0
 
 
 @dataclass(frozen=True)
@@ -66,10 +70,14 @@ def shifts_px_m(aperture_um: FloatArray | None, tangent_x: FloatArray, tangent_y
 def sensor_windows(scene: Scene, psf: Psf, image_map: ImageMap) -> tuple[Window, Window]:
     """The x polarisation's window of ``field_px`` pixels about the axis, and the y polarisation's of the same field.
 
-    Images that overlap raise InputError.
+    Images that overlap, or that take more memory than 4 GB and the limit ``memory_mb``, raise InputError.
     """
     pixel = psf.pixel_um
     n_y, n_x = scene.field_px
+    most_mb = max(_MOST_MB, limit("memory_mb", _MOST_MB))  # a lower one is meant for files
+    if n_y * n_x * _BYTES_OF_A_PIXEL > 1e6 * most_mb:
+        most = f"at most {1e6 * most_mb / _BYTES_OF_A_PIXEL:.3g} pixels of the field, for {most_mb:g} MB"
+        raise beyond("scene", "field_px", "memory_mb", most, f"{n_y} x {n_x}", "use a smaller field")
     axis_x, axis_y = image_map.coefficients_um[0, :, 0, 0]
     column, row = round(axis_x / pixel) - n_x // 2, round(axis_y / pixel) - n_y // 2
     edge_x, edge_y = (np.arange(n_x + 1) - 0.5 + column) * pixel, (np.arange(n_y + 1) - 0.5 + row) * pixel

@@ -119,12 +119,13 @@ def library_build(
     """Build a library: sweep width and length until every size is within the target error."""
     from metafab import library
     from metafab.cell.open_orders import open_orders
-    from metafab.core.storage.files import plain
+    from metafab.core.storage.files import plain, require_file_output
     from metafab.library.store import statistics_json
     from metafab.spec import load_unit_cell
 
     spec = load_unit_cell(unit_cell)
     path = output or unit_cell.with_suffix(".h5")
+    require_file_output(path, [unit_cell])
     announce(order.sentence() for order in open_orders(spec))
     few, many = library.expected_cells(spec)
     announce([f"{few} cells are solved" if few == many else f"{few} to {many} cells are expected"])
@@ -183,13 +184,14 @@ def library_import(
 ) -> None:
     """Make a library of a sweep that another program solved; its error is that of cross-validation."""
     from metafab import library
-    from metafab.core.storage.files import plain, require_hdf5_name
+    from metafab.core.storage.files import plain, require_file_output, require_hdf5_name
     from metafab.library.foreign.imported import import_sweep
     from metafab.library.store import statistics_json
     from metafab.spec import load_unit_cell
 
     path = output or sweep.with_suffix(".library.h5")
     require_hdf5_name(path)
+    require_file_output(path, [sweep, unit_cell])
     made = import_sweep(sweep, load_unit_cell(unit_cell), quantity=quantity, time_sign=time_sign)
     library.save(made, path)
     quality = library.quality(made)

@@ -110,12 +110,13 @@ def patch_command(
     from metafab import fullwave, mask
     from metafab.cell.meep import Pool, SupercellSettings
     from metafab.cell.meep.pool import own_folder
-    from metafab.core.storage.files import file_sha256, fingerprint
+    from metafab.core.storage.files import file_sha256, fingerprint, require_file_output
     from metafab.fullwave.patch import PATCH_DECAY
     from metafab.steps import open_library
 
     require_positive("--size-um", size_um)
     path = output or Path("patch.h5")
+    require_file_output(path, [layout, design])
     with open_work() as (work, _):
         job = open_job(design, None, work)
         opened = open_library(job)
@@ -174,12 +175,12 @@ def fullwave_command(
     lattice of equal pillars.
     """
     from metafab.cell.elements.solve import ElementNumerics
-    from metafab.core.storage.files import write_json
+    from metafab.core.storage.files import require_file_output, write_json
     from metafab.fullwave.blocks import BlockNumerics, read_blocks, solve_blocks
     from metafab.library import load
 
-    if output is not None and output.is_dir():
-        raise InputError.single("fullwave", "--output", "the name of a file", f"the folder {output}")
+    if output is not None:
+        require_file_output(output)
     opened = load(library)
     supercells = read_blocks(blocks, opened, solver)
     rcwa = ElementNumerics() if target_error is None else ElementNumerics(target_error)

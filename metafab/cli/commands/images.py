@@ -70,7 +70,9 @@ def capture_command(
     frames: Annotated[int, typer.Option(min=1, metavar="N", help="Frames of a film, in files numbered from 1.")] = 1,
     draws: Annotated[
         int | None,
-        typer.Option(min=1, metavar="N", help="Frames of each scene, of successive seeds, with truth in one .h5."),
+        typer.Option(
+            min=1, max=1_000_000, metavar="N", help="Frames of each scene, of successive seeds, with truth in one .h5."
+        ),
     ] = None,
     black: Annotated[
         int, typer.Option(min=0, max=32767, metavar="COUNTS", help="Black level [for .tif, .png and .npy].")
@@ -82,7 +84,8 @@ def capture_command(
     A frame is an .h5 with its truth, or counts in .tif, .png or .npy.
     """
     from metafab.camera import counts_of
-    from metafab.core.storage.files import HDF5_SUFFIXES, require_hdf5_name
+    from metafab.core.storage.files import HDF5_SUFFIXES, require_file_output, require_hdf5_name
+    from metafab.core.storage.provenance import named_files
     from metafab.spec import load_scene
     from metafab.steps.images import capture, capture_batch
 
@@ -98,6 +101,7 @@ def capture_command(
             raise InputError.single("capture", "--draws", expected, "both", remedy)
         with open_work() as (work, cost):
             pairs = [(scene, load_scene(scene)) for scene in scenes]
+            require_file_output(path, [*scenes, psf, *named_files([scene for _, scene in pairs])])
             batch = capture_batch(pairs, psf, path, draws, seed=seed, progress=work.progress)
         show(CaptureAnswer(shape=batch.shape, photons=batch.photons, seconds=cost.seconds, file=path), json_)
         return
@@ -107,8 +111,10 @@ def capture_command(
     files: list[Path] = []
     shape: tuple[int, ...] = ()
     counts: Counts | None = None
+    scene = load_scene(scenes[0])
+    require_file_output(path, [*scenes, psf, *named_files(scene)])
     with open_work() as (work, cost):
-        filmed = capture(load_scene(scenes[0]), psf, path, frames, seed=seed, black=black, progress=work.progress)
+        filmed = capture(scene, psf, path, frames, seed=seed, black=black, progress=work.progress)
         for frame, file in filmed:
             counts = counts_of(frame, black=black) if in_counts else None
             shape = frame.frame.shape
@@ -136,12 +142,15 @@ def film_command(
 ) -> None:
     """Simulate, decode and draw a film of a moving scene: .gif, or .mp4 with ffmpeg."""
     from metafab import report
+    from metafab.core.storage.files import require_file_output
+    from metafab.core.storage.provenance import named_files
     from metafab.spec import load_scene
     from metafab.steps.images import FilmFigures, decoded_film
 
     path = output or Path("film.gif")
     report.require_film_name(path)
     moving = load_scene(scene)
+    require_file_output(path, [scene, psf, *named_files(moving)])
     with open_work() as (work, cost):
         film = list(decoded_film(moving, psf, frames, seed=seed, progress=work.progress))
         report.write_film(film, path, frame_interval_s=moving.frame_interval_s)
@@ -163,11 +172,12 @@ def decode_command(
     json_: Json = False,
 ) -> None:
     """Decode a raw frame to a 4D image: both intensities, contrast and depth."""
-    from metafab.core.storage.files import plain, require_hdf5_name
+    from metafab.core.storage.files import plain, require_file_output, require_hdf5_name
     from metafab.steps.images import DecodeFigures, decode_file
 
     path = output or Path("decoded.h5")
     require_hdf5_name(path)
+    require_file_output(path, [raw, psf])
     with open_work() as (work, _):
         from metafab.decode import FAST
 
@@ -200,11 +210,12 @@ def calibrate_command(
 ) -> None:
     """Calibrate a camera from photographs of a point source at known depths."""
     from metafab import decode
-    from metafab.core.storage.files import require_hdf5_name
+    from metafab.core.storage.files import require_file_output, require_hdf5_name
     from metafab.steps.images import calibrate
 
     path = output or Path("calibrated.h5")
     require_hdf5_name(path)
+    require_file_output(path, [*frames, psf, depths])
     counts = _counts(black, electrons_per_count, read_noise_e, white)
     fit = calibrate(frames, depths, psf, path, counts=counts)
     announce([f"not told apart: {decode.NOT_SEPARATED}"])

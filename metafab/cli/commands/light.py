@@ -211,14 +211,13 @@ def import_command(
 ) -> None:
     """Make a PSF pair for the decoder from pictures of a point at known depths."""
     from metafab import optics
-    from metafab.core.storage.files import file_sha256, fingerprint, plain, require_hdf5_name
+    from metafab.core.storage.files import file_sha256, fingerprint, plain, require_file_output, require_hdf5_name
     from metafab.optics.measured_stack import psf_of_stack
     from metafab.optics.stack_files import read_stack
 
     path = output or Path("psf.h5")
     require_hdf5_name(path)
-    if path.is_file() and len(depths) == 1 and Path(depths[0]).is_file() and path.samefile(depths[0]):
-        raise InputError.single("--output", "output", "a file of its own", f"{path}, which is read", "name another")
+    require_file_output(path, [stack, *map(Path, depths)])
     require_positive("--pixel-um", pixel_um)
     require_positive("--distance-mm", distance_mm)
     require_finite("--split-um", *(split_um or ()))

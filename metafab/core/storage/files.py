@@ -8,7 +8,8 @@ import math
 import os
 import re
 import secrets
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import partial
@@ -51,6 +52,33 @@ def require_hdf5_name(path: Path) -> None:
     """Check that an output name ends with an HDF5 suffix; InputError for neither .h5 nor .hdf5."""
     if path.suffix.lower() not in HDF5_SUFFIXES:
         raise InputError.single(str(path), "output", "a name ending with .h5", repr(path.suffix))
+
+
+def require_file_output(path: Path, read: Iterable[Path] = ()) -> None:
+    """Refuse the name of a folder for a result that is one file, and what :func:`require_output` refuses."""
+    require_output(path, read)
+    if path.is_dir():
+        raise InputError.single("--output", "output", "the name of a file", f"the folder {path}", "name a file in it")
+
+
+def require_output(path: Path, read: Iterable[Path] = ()) -> None:
+    """Refuse the place of a result before the work: InputError for one of the files ``read``, or a closed place.
+
+    A file without a name is made in the nearest folder that exists: rights alone do not show what root cannot write.
+    """
+    from tempfile import TemporaryFile  # a command without a result does not need it
+
+    try:
+        is_read = path.is_file() and any(each.is_file() and each.samefile(path) for each in read)
+        folder = path if path.is_dir() else next(each for each in path.absolute().parents if each.exists())
+        with TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        expected, got = "a place that can be written", f"{path} ({error.strerror})"
+        raise InputError.single("--output", "output", expected, got, "name another") from error
+    if is_read:
+        expected, got = "a file of its own", f"{path}, which is read"
+        raise InputError.single("--output", "output", expected, got, "name another")
 
 
 def clear_parts(folder: Path) -> None:
@@ -126,6 +154,15 @@ def read_json(path: Path, kind: str, format_version: int, make: Callable[[dict[s
         return make({key: value for key, value in table.items() if key not in {"kind", "format_version"}})
     except (OSError, *DAMAGED):
         return None
+
+
+def unique_keys(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the table of a JSON object (``object_pairs_hook`` of the reader); ValueError for a key that repeats."""
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        counts = Counter(name for name, _ in pairs)
+        raise ValueError(f"key {counts.most_common(1)[0][0]!r} more than once")
+    return table
 
 
 def fingerprint(*parts: Any) -> str:

@@ -125,11 +125,11 @@ def calibrate(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: 
 def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
     """Read the depths of frames from a table of lines "file name, depth in m"; lines that start with # are skipped.
 
-    InputError if the table cannot be read, a depth is not a positive number, or a frame is not in it.
+    InputError if the table cannot be read, a depth is not a positive number, or a frame is not in it, or repeats.
     """
     try:
         require_modest_table(path)
-        lines = path.read_text(encoding="utf-8").splitlines()
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise InputError.single(str(path), "file", "a readable table of depths", str(error)) from error
     table: dict[str, float] = {}
@@ -138,6 +138,8 @@ def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
         name, _, depth = (part.strip() for part in line.partition(","))
         if not name or name.startswith("#"):
             continue
+        if name in table:
+            faults.append(Fault(f"line {number}", "each file name once", f"{name} again"))
         try:
             table[name] = float(depth)
         except ValueError:

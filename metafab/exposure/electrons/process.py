@@ -159,7 +159,7 @@ def _table(path: Path) -> tuple[str, FloatArray]:
     expected = "a text file with a radius and an energy in each row"
     try:
         require_modest_table(path)
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = path.read_text(encoding="utf-8-sig", errors="replace").splitlines()
     except OSError as error:
         raise InputError.single(str(path), "table_file", expected, f"{error}") from error
     header: list[str] = []

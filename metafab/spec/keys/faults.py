@@ -43,12 +43,20 @@ def faults_of(error: ValidationError, spec: Any) -> list[Fault]:
     """Return one fault for each error that the validation library found; the keys of ``spec`` are suggested."""
     if (count := error.error_count()) > _MOST_FAULTS:
         return [Fault("", f"{count} faults, too many to list one by one; is it another program's file?", "")]
+    items = error.errors(include_url=False)
+    # Each missing item of a list is an error; the last one says how many there must be.
+    last = {item["loc"][:-1]: item["loc"] for item in items if _is_missing_item(item)}
     # A list whose items have faults of their own is also called too short.
     return [
         _fault(item, spec)
-        for item in error.errors(include_url=False)
-        if item["type"] != "too_short" or len(item["input"]) < int(item["ctx"]["min_length"])
+        for item in items
+        if (item["type"] != "too_short" or len(item["input"]) < int(item["ctx"]["min_length"]))
+        and (not _is_missing_item(item) or last[item["loc"][:-1]] == item["loc"])
     ]
+
+
+def _is_missing_item(item: Any) -> bool:
+    return item["type"] in _MISSING and isinstance(item["loc"][-1], int)
 
 
 def option_fault(error: ValidationError, otherwise: str) -> str:
@@ -67,8 +75,8 @@ def _fault(item: Any, spec: Any) -> Fault:
         hint = near(str(place[-1]), names) or f"known keys: {', '.join(names)}"
         return Fault(field, "a known key", "an unknown one", hint)
     if kind in _MISSING:
-        if isinstance(place[-1], int):
-            return Fault(_path(place[:-1]), f"a list of at least {place[-1] + 1}", f"a list of {place[-1]}")
+        if _is_missing_item(item):
+            return Fault(_path(place[:-1]), f"a list of at least {place[-1] + 1}", f"a list of {len(item['input'])}")
         return Fault(field, "a value", "nothing", "add the key")
     if kind in {"union_tag_invalid", "union_tag_not_found"}:
         choices = limits.get("expected_tags", "the name of a phase term")

@@ -157,3 +157,43 @@ def test_a_scene_is_objects_or_a_picture(tmp_path: Path) -> None:
     for name, message in (("both", "one of both"), ("none", "one of both"), ("order", "near < far")):
         with pytest.raises(InputError, match=message):
             load_scene(tmp_path / f"{name}.toml")
+
+
+@pytest.mark.parametrize("scale", [1e-300, 1e300])
+def test_light_has_any_unit(scale: float, psf: Psf, tmp_path: Path) -> None:
+    light, depth_m = 1.0 + np.random.default_rng(2).random((SIDE, SIDE)), np.full((SIDE, SIDE), 0.00283)
+    frames = [capture(picture(tmp_path, unit * light, depth_m), psf).frame for unit in (1.0, scale)]
+    assert np.abs(frames[1] - frames[0]).max() < 1e-3 * frames[0].max()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("light", np.nan, "rgbd.image_file.*got 1 other values, such as nan"),
+        ("light", -2.0, "rgbd.image_file.*got 1 other values, such as -2"),
+        ("contrast", 0.0, "rgbd.contrast_file.*got 1 other values, such as 0"),
+        ("contrast", 1e40, "rgbd.contrast_file.*at most 1e.15, got 1 other values, such as 1e.40"),
+    ],
+)
+def test_a_value_that_makes_no_sense_is_named(name: str, value: float, message: str, psf: Psf, tmp_path: Path) -> None:
+    arrays = {"light": np.ones((SIDE, SIDE)), "contrast": np.ones((SIDE, SIDE))}
+    arrays[name][3, 4] = value
+    np.save(tmp_path / "contrast.npy", arrays["contrast"])
+    depth_m = np.full((SIDE, SIDE), 0.00283)
+    scene = picture(tmp_path, arrays["light"], depth_m, contrast_file=tmp_path / "contrast.npy")
+    with pytest.raises(InputError, match=message):
+        capture(scene, psf)
+
+
+def test_a_field_beyond_all_memory_is_refused_before_any_is_taken(psf: Psf, tmp_path: Path) -> None:
+    scene = picture(tmp_path, np.ones((SIDE, SIDE)), np.full((SIDE, SIDE), 0.00283))
+    with pytest.raises(InputError, match=r"field_px.*at most 1.6e.07 pixels.*got 1000000 x 1000000"):
+        capture(replace(scene, field_px=(1_000_000, 1_000_000)), psf)
+
+
+def test_all_missing_files_are_named(psf: Psf, tmp_path: Path) -> None:
+    scene = picture(tmp_path, np.ones((SIDE, SIDE)), np.full((SIDE, SIDE), 0.00283), contrast_file=tmp_path)
+    (tmp_path / "light.npy").unlink()
+    with pytest.raises(InputError) as refused:
+        capture(scene, psf)
+    assert [fault.field for fault in refused.value.faults] == ["rgbd.image_file", "rgbd.contrast_file"]

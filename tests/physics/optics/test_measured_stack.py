@@ -93,6 +93,41 @@ def test_light_in_the_border_is_told() -> None:
     assert any("larger window" in sentence for sentence in figures.warnings)
 
 
+def test_saturated_pictures_are_told() -> None:
+    stack = 1000.0 * turning_psf().psf
+    _, sound = psf_of_stack(stack, np.array(DEPTHS_M), 1.0, integrated=False)
+    assert sound.warnings == ()
+    _, figures = psf_of_stack(np.minimum(stack, 0.3 * stack.max()), np.array(DEPTHS_M), 1.0, integrated=False)
+    assert "share exactly its largest value: is it saturated?" in figures.warnings[0]
+
+
+def test_a_picture_of_noise_alone_is_refused() -> None:
+    """Noise reaches above three of its standard deviations, but not above six."""
+    rng = np.random.default_rng(1)
+    stack = 1000.0 * turning_psf().psf + rng.normal(0.0, 1.0, turning_psf().psf.shape)
+    stack[1, 2] = rng.normal(100.0, 1.0, stack.shape[2:])
+    with pytest.raises(InputError, match=f"none in channel 2 at {DEPTHS_M[2]:g} m"):
+        psf_of_stack(stack, np.array(DEPTHS_M), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("scale", "pixel_um", "depth_scale", "zero_m", "message"),
+    [
+        (1e300, 1.0, 1.0, None, "largest lies between"),
+        (1e-300, 1.0, 1.0, None, "largest lies between"),
+        (1.0, 1e300, 1.0, None, "pixel_um"),
+        (1.0, 1.0, 1e300, None, "depths in metres, at most"),
+        (1.0, 1.0, 1.0, 1e300, "zero_m"),
+        (1.0, 1.0, 1.0, 1e15, "zero_m"),  # depths that are one in double precision
+    ],
+)
+def test_numbers_beyond_all_optics_are_refused(
+    scale: float, pixel_um: float, depth_scale: float, zero_m: float | None, message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        psf_of_stack(scale * turning_psf().psf, depth_scale * np.array(DEPTHS_M), pixel_um, zero_m=zero_m)
+
+
 def _bad(index: tuple[int, ...] | None = None, value: float = np.nan) -> FloatArray:
     stack = turning_psf().psf.copy()
     if index is not None:

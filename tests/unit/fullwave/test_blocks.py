@@ -76,10 +76,13 @@ def _solved(
     return found
 
 
-def test_no_json_is_refused(smooth_library: Library, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("text", "message"), [("{", "JSON file"), ('{"blocks": [], "blocks": [{}]}', "key 'blocks' more than once")]
+)
+def test_no_json_is_refused(text: str, message: str, smooth_library: Library, tmp_path: Path) -> None:
     path = tmp_path / "text.json"
-    path.write_text("{", encoding="utf-8")
-    with pytest.raises(InputError, match="JSON file"):
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
         read_blocks(path, smooth_library)
 
 

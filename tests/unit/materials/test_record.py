@@ -15,9 +15,11 @@ def _index(record: str, wavelength_nm: float) -> complex:
     return refractive_index(Material(record=record), wavelength_nm)[0]
 
 
-def test_a_users_table(tmp_path: Path) -> None:
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])  # spreadsheets begin a file with a byte-order mark
+def test_a_users_table(encoding: str, tmp_path: Path) -> None:
     path = tmp_path / "film.csv"
-    path.write_text("# our ellipsometer\nwavelength_nm,n,k\n700,3.8,0.02\n900,3.6,0.0\n")
+    text = "# our ellipsometer\nwavelength_nm,n,k\n700,3.8,0.02\n900,3.6,0.0\n"
+    path.write_text(text, encoding=encoding)
     assert _index(str(path), 750.0) == pytest.approx(3.75 + 0.015j, abs=1e-12)
     with pytest.raises(InputError, match="our ellipsometer"):
         _index(str(path), 901.0)

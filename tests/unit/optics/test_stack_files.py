@@ -101,9 +101,11 @@ def test_depths_from_files(tmp_path: Path) -> None:
     np.save(tmp_path / "depths.npy", np.array(wanted)[:, None])
     (tmp_path / "lines.csv").write_text("# m\n0.25\n0.30\n0.35  # last\n")
     (tmp_path / "row.csv").write_text("0.25, 0.30, 0.35")
+    (tmp_path / "marked.csv").write_text("0.25\n0.30\n0.35\n", encoding="utf-8-sig")  # as spreadsheets write it
     (tmp_path / "bad.csv").write_text("near\n0.30")
-    for name in ("depths.npy", "lines.csv", "row.csv"):
+    (tmp_path / "empty.csv").write_text("# m\n")
+    for name in ("depths.npy", "lines.csv", "row.csv", "marked.csv"):
         assert read_depths(tmp_path / name).tolist() == wanted
-    for name in ("bad.csv", "none.csv", "none.npy"):
+    for name in ("bad.csv", "empty.csv", "none.csv", "none.npy"):
         with pytest.raises(InputError, match=name):
             read_depths(tmp_path / name)

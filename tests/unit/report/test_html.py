@@ -39,6 +39,10 @@ def test_backticks_are_code_and_nothing_is_markup(text: object, shown: str) -> N
     assert html.note(str(text)) == f'<p class="note">{shown}.</p>'
 
 
+def test_a_question_has_no_full_stop() -> None:
+    assert html.note("is it?") == '<p class="note">is it?</p>'
+
+
 def test_a_table_keeps_the_class_of_each_column() -> None:
     text = html.table(["rule", "violations"], [["gap", "0"], ["grid", "2"]], ["", "n"], "stack")
     assert text.count("<tr>") == 3

@@ -200,3 +200,9 @@ def test_the_files_of_a_design_are_all_that_it_names(tmp_path: Path) -> None:
     design.write_text(f'name = "lens.toml"\nnote = "{300 * "x"}"\nlibrary = "cells/cell.toml"\n{objects}')
     named = ("lens.toml", "cells/cell.toml", "cells/../index.csv", "photo.png", far)
     assert files_of(design) == {tmp_path / name for name in named}
+
+
+def test_a_library_that_is_no_path_is_one_fault(tmp_path: Path) -> None:
+    with pytest.raises(InputError) as refused:
+        load_design(_variant(tmp_path, (f'library = "{CELL}"', "library = 3"), ('"circle"', '"oval"')))
+    assert [fault.field for fault in refused.value.faults] == ["library", "device.aperture_shape"]

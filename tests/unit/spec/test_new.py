@@ -101,7 +101,10 @@ def test_nothing_is_overwritten(tmp_path: Path) -> None:
         write_new("mine", "vortex_lens", tmp_path)
 
 
-@pytest.mark.parametrize(("name", "kind"), [("a b", "metalens"), ("", "metalens"), ("../up", "metalens"), ("a", "x")])
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [*((name, "metalens") for name in ("a b", "", "../up", "_a", "\u00e9", "a" * 65)), ("a", "x")],
+)
 def test_unfit_names_and_unknown_kinds_are_refused(tmp_path: Path, name: str, kind: str) -> None:
     with pytest.raises(InputError, match="expected"):
         write_new(name, kind, tmp_path)

@@ -15,7 +15,7 @@ import pytest
 import tifffile
 
 from metafab.core.errors import InputError
-from metafab.core.storage.pictures import read_array, read_counts
+from metafab.core.storage.pictures import read_array, read_counts, read_grey
 
 SIDE = 30_720
 
@@ -166,3 +166,13 @@ def test_pages_in_a_circle_are_refused(pages: int, tmp_path: Path) -> None:
     path.write_bytes(image)
     with pytest.raises(InputError, match="form a circle"):
         read_array(path)
+
+
+@pytest.mark.parametrize("shape", [(3, 40, 50), (5, 40, 50), (40, 50, 7), (40, 50, 2)])
+def test_pages_are_no_colours(shape: tuple[int, ...], tmp_path: Path) -> None:
+    """Colours stand on the last axis; the mean over columns of a stack of pages would be a picture of nothing."""
+    np.save(tmp_path / "stack.npy", np.ones(shape))
+    with pytest.raises(InputError, match="one grey frame"):
+        read_grey(tmp_path / "stack.npy")
+    np.save(tmp_path / "colours.npy", np.arange(40.0 * 50 * 3).reshape(40, 50, 3))
+    assert read_grey(tmp_path / "colours.npy")[1, 2] == pytest.approx(3 * 52 + 1)

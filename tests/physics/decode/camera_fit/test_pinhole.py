@@ -311,9 +311,11 @@ def test_the_command_writes_a_calibration_that_decodes(predicted: Psf, tmp_path:
 
 
 def test_a_table_of_depths_names_all_its_faults(tmp_path: Path) -> None:
-    (tmp_path / "depths.csv").write_text("a.tif, 0.3\nb.tif, far\n\nc.tif, -1\n")
+    (tmp_path / "depths.csv").write_text("a.tif, 0.3\nb.tif, far\n\nc.tif, -1\na.tif, 0.4\n")
     with pytest.raises(InputError) as refused:
         read_depths(tmp_path / "depths.csv", [Path("a.tif"), Path("d.tif")])
-    assert [fault.field for fault in refused.value.faults] == ["line 2", "line 4", "d.tif"]
+    assert [fault.field for fault in refused.value.faults] == ["line 2", "line 4", "line 5", "d.tif"]
+    (tmp_path / "marked.csv").write_text("a.tif, 0.3\n", encoding="utf-8-sig")  # as spreadsheets write it
+    assert read_depths(tmp_path / "marked.csv", [Path("a.tif")]) == [0.3]
     with pytest.raises(InputError, match="readable"):
         read_depths(tmp_path / "none.csv", [])

@@ -111,6 +111,17 @@ def test_tables_of_other_programs_are_read(header: str, separator: str, unit_nm:
     np.testing.assert_allclose(read.range_nm, expected.range_nm, rtol=1e-6)
 
 
+def test_the_first_row_behind_a_byte_order_mark_is_no_header(tmp_path: Path) -> None:
+    """Spreadsheets begin a file with the mark; eight rows are the least that a fit takes."""
+    rows = "".join(f"{radius:g},{math.exp(-((radius / 50.0) ** 2)):g}\n" for radius in range(10, 90, 10))
+    read = []
+    for encoding in ("utf-8", "utf-8-sig"):
+        path = tmp_path / f"{encoding}.csv"
+        path.write_text(rows, encoding=encoding)
+        read.append(beam_psf(ExposureProcess(table_file=path, table_unit="nm", blur_nm=0.0)))
+    np.testing.assert_array_equal(read[1].range_nm, read[0].range_nm)
+
+
 def test_energies_of_rings_become_densities(tmp_path: Path) -> None:
     """Rings of one Gaussian hold 1 - exp(-r^2 / range^2) in all; fitted ranges are a factor of 1.5 apart."""
     radius = np.linspace(2.0, 200.0, 100)

@@ -31,6 +31,7 @@ def _message(spec: Any, table: dict[str, Any]) -> str:
         (Mask, {"chip": {"zzz": 1}}, "known keys: margin_um, mark_um"),
         (Mask, {"chip": 3}, "`chip`: expected a table, got 3"),
         (Mask, {"copies": [{"at_um": [1]}]}, "`copies[0].at_um`: expected a list of at least 2, got a list of 1"),
+        (Mask, {"copies": [{"at_um": []}]}, "`copies[0].at_um`: expected a list of at least 2, got a list of 0"),
         (Mask, {"flat": "yes"}, "`flat`: expected true or false, got 'yes'"),
         (Mask, {"layer": 1.5}, "`layer`: expected a whole number, got 1.5"),
         (Design, {"phase": [{"term": "spiral_zone"}]}, "did you mean `spiral_zones`?"),
@@ -52,3 +53,7 @@ def test_a_fault_is_said_in_our_words(spec: Any, table: dict[str, Any], expected
 def test_faults_of_items_are_not_followed_by_one_about_the_length_of_their_list() -> None:
     assert "at least 1" not in _message(Design, {"phase": [{"term": "lense"}]})
     assert "`phase`: expected a list of at least 1, got []" in _message(Design, {"phase": []})
+
+
+def test_a_list_without_items_has_one_fault() -> None:
+    assert _message(Mask, {"copies": [{"at_um": []}]}).count("\n") == 1
