@@ -233,9 +233,9 @@ def _faults(points: Sequence[Sequence[PointImage]], depths_m: Sequence[float], f
         if pixels := sum(p.full_pixels for p in pair):
             faults.append(Fault(name, "points that are not saturated", f"{pixels} full pixels", "expose shorter"))
         elif misfit > _LARGEST_MISFIT:
-            expected = f"images of a point as predicted, but for {_LARGEST_MISFIT:.0%} of their power"
+            expected = f"images of a point as predicted, but for {100.0 * _LARGEST_MISFIT:.0f} % of their power"
             remedy = "is it a point, of this mask, the right way up and not mirrored, and is the noise stated?"
-            faults.append(Fault(name, expected, f"{misfit:.0%} unlike it", remedy))
+            faults.append(Fault(name, expected, f"{100.0 * misfit:.0f} % unlike it", remedy))
         elif any(p.at_end for p in pair):
             remedy = "check the depths, or predict the pair over a wider range (`metafab psf --depths-m ...`)"
             faults.append(Fault(name, "images like the prediction inside its range", "like an end of it", remedy))

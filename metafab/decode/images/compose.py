@@ -261,7 +261,7 @@ def _mismatch_figures(volume: CostVolume, prepared: PreparedFrame, regions: Regi
     noise_share = float((power[judged] - texture[judged]) / max(float(texture[judged]), 1e-30))
     if mismatch <= _LARGEST_MISMATCH + _MISMATCH_PER_NOISE * noise_share:
         return DecodingFigures(twin_mismatch=mismatch)
-    warning = f"the twins differ by {mismatch:.0%} of their power: is this the camera's calibration?"
+    warning = f"the twins differ by {100.0 * mismatch:.0f} % of their power: is this the camera's calibration?"
     return DecodingFigures(twin_mismatch=mismatch, warning=warning)
 
 

@@ -191,7 +191,7 @@ def skipped(run: RunFolder) -> str:
 
 def _saving(entry: Saving) -> list[str]:
     """Row of a saving."""
-    of = "any" if entry.of is None else html.number(entry.of)
+    of = "a continuum" if entry.of is None else html.number(entry.of)
     error = "none" if entry.error_of is None else "not measured"
     if entry.error is not None and entry.error_of is not None:
         error = f"{html.number(entry.error, 2)} ({escape(entry.error_of)})"

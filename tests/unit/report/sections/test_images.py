@@ -31,6 +31,6 @@ def test_a_camera_frame_is_judged_by_no_truth() -> None:
 
 
 def test_a_doubted_calibration_is_said() -> None:
-    doubt = "the twins differ by 12% of their power: is this the camera's calibration?"
-    assert "12% of their power" in _section(replace(FIGURES, warning=doubt))
+    doubt = "the twins differ by 12 % of their power: is this the camera's calibration?"
+    assert "12 % of their power" in _section(replace(FIGURES, warning=doubt))
     assert "of their power:" not in _section(FIGURES)
