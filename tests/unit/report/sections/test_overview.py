@@ -25,7 +25,7 @@ def test_savings_stand_with_their_numbers_and_errors(tmp_path: Path, smooth_libr
         "5\u202f776",
         "a &lt;model&gt;",
         "0.00031 (complex t)",
-        ">any<",
+        ">a continuum<",
         "<code>[tolerance]</code>",
         ">none<",
         ">not measured<",
