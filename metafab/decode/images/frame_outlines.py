@@ -1,10 +1,10 @@
 """Outlines between segments of unlike polarisation contrast, to a part of a downsampled pixel, by the raw frame.
 
 Where the contrast changes, a pixel on the wrong side changes the light of one image and not of the other, whatever the
-texture: a pixel of 8 px of outline is known to 1 px or better (:mod:`benchmarks.decode.outline_information`). Where
-contrasts are alike, a texture that lies behind explains the light as well, and outlines are not displaced. The misfit
-of the model of the frame is computed for outlines as they are and displaced by a downsampled pixel either way; pooled
-along the outline, it is a parabola of the displacement, with its least value where the outline is.
+texture: the frame tells where the outline is to a part of a pixel. Where contrasts are alike, a texture that lies
+behind explains the light as well, and outlines stay (measured in ``benchmarks/decode/outline_information.py``). The
+misfit of the model of the frame is computed for outlines as they are and displaced by a downsampled pixel either way;
+pooled along the outline, it is a parabola of the displacement, with its least value where the outline is.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ from metafab.decode.segmentation.layer_light import LayerLight, add_blurred
 
 #: Steps of conjugate gradients in a round, and for a misfit, whose differences settle more slowly.
 _STEPS, _MISFIT_STEPS = 3, 6
-#: Steps for the outlines as they are, and for each displacement from there. With 40 and 20, outlines between unlike
-#: contrasts are as good.
+#: Steps for the outlines as they are, and for each displacement from there: three scenes are 0.36, 1.02 and 1.07 %
+#: off, with 40 and 20 steps 0.36, 1.02 and 1.03 % (outlines between unlike contrasts, displaced by 2 px).
 _FIRST_STEPS, _DISPLACED_STEPS = 4, 1
 #: Rms contrast of the texture.
 _TEXTURE = 0.3

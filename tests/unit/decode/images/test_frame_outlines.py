@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from metafab.camera import capture
 from metafab.decode.decoder import DecodedFrame, Decoder
-from metafab.decode.images.frame_outlines import _least, outlines_by_frame
+from metafab.decode.images import frame_outlines
+from metafab.decode.images.frame_outlines import outlines_by_frame
 from metafab.decode.images.pixel_outlines import on_pixels
 from metafab.decode.segmentation.frame_model import FrameModel
 from metafab.decode.segmentation.layer_light import LayerOptics
@@ -107,6 +108,6 @@ def test_the_least_misfit_is_that_of_a_parabola() -> None:
     at = np.array([-1.0, 0.0, 1.0])[:, None, None]
     for place, factor, expected in ((0.4, 40.0, 0.4), (1.7, 40.0, 1.0), (-0.4, 4.0, 0.0), (-0.6, 40.0, -0.6)):
         misfits = (factor * (at - place) ** 2).astype(np.float32)
-        np.testing.assert_allclose(_least(misfits, 3), 3.0 * expected, rtol=1e-4)
+        np.testing.assert_allclose(frame_outlines._least(misfits, 3), 3.0 * expected, rtol=1e-4)
     falling = np.array([2.0, 1.5, -6.0], dtype=np.float32)[:, None, None]
-    np.testing.assert_allclose(_least(falling, 2), 2.0)
+    np.testing.assert_allclose(frame_outlines._least(falling, 2), 2.0)
