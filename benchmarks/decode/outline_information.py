@@ -14,7 +14,7 @@ errs there loses what the frame holds. ``off`` is the mean distance of the decod
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -181,7 +181,9 @@ def places(seen: Decoded, prepared: PreparedFrame, count: int, seed: int) -> Ite
             return
 
 
-def measured(case: Case, count: int, seeds: int) -> Iterator[tuple[bool, float, FloatArray]]:
+def measured(
+    case: Case, count: int, seeds: int, lengths_px: Sequence[int] = LENGTHS_PX
+) -> Iterator[tuple[bool, float, FloatArray]]:
     """Whether contrasts are unlike, the decoder's distance, and a table (n_lengths, n_displaced), for each place."""
     stacks = Stacks(case.lens)
     scenes = {seed: case.scene(stacks.pixel_tangent, seed) for seed in range(1, seeds + 1)}
@@ -197,7 +199,7 @@ def measured(case: Case, count: int, seeds: int) -> Iterator[tuple[bool, float, 
             true = window.minus_twice_log_likelihood(place.near)
             table = [
                 [window.minus_twice_log_likelihood(place.displaced(length, by)) - true for by in DISPLACED_PX]
-                for length in LENGTHS_PX
+                for length in lengths_px
             ]
             yield place.unlike, place.off_px(seen.depth_m), np.array(table)
 
@@ -208,6 +210,7 @@ def main() -> None:
     parser.add_argument("scenes", nargs="*", default=SCENES, help="names of the scene benchmark's scenes")
     parser.add_argument("--places", type=int, default=4, help="places in a frame")
     parser.add_argument("--seeds", type=int, default=3, help="frames of a scene")
+    parser.add_argument("--lengths", type=int, nargs="+", default=LENGTHS_PX, help="lengths of the stretches, pixels")
     options = parser.parse_args()
     cases = {case.name: case for case in CASES}
     print(
@@ -217,14 +220,14 @@ def main() -> None:
     )
     print("|---" * (5 + len(DISPLACED_PX)) + "|")
     for name in options.scenes:
-        found = list(measured(cases[name], options.places, options.seeds))
+        found = list(measured(cases[name], options.places, options.seeds, options.lengths))
         for unlike, word in ((False, "like"), (True, "unlike")):
             some = [one for one in found if one[0] == unlike]
             if not some:
                 continue
             off = np.mean([one[1] for one in some])
             medians = np.median([one[2] for one in some], axis=0)
-            for length, row in zip(LENGTHS_PX, medians, strict=True):
+            for length, row in zip(options.lengths, medians, strict=True):
                 values = " | ".join(f"{value:.0f}" for value in row)
                 print(f"| {name} | {word} | {len(some)} | {off:.2f} | {length} | {values} |", flush=True)
 
