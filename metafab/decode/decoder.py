@@ -19,6 +19,7 @@ from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages, TileSpectra
+from metafab.decode.images.frame_outlines import outlines_by_frame
 from metafab.decode.images.light_outlines import outlines_at_edges
 from metafab.decode.images.shortest_outlines import shortest_outlines
 from metafab.decode.images.surface_edges import surface_at_edges
@@ -246,6 +247,7 @@ class Decoder:
         if self.numerics.refined and self.numerics.modelled:
             regions = outlines_at_edges(regions, prepared, sharp, self.layer_optics, step)
             regions = shortest_outlines(regions, sharp, step)
+            regions = outlines_by_frame(regions, prepared, self.layer_optics, step)
             regions = regions.refused(without_evidence(prepared, volume, regions, pixels))
         maps = PixelMaps.of(prepared, pixels, regions, sharp, lit)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)

@@ -112,9 +112,12 @@ def track(
         new = current.vergence_per_m(current.grown)[inside]
         surface = surface.copy()
         surface[part] = np.where(affected & np.isfinite(new), new, surface[part])
+    beyond = None if last.beyond_px is None else last.beyond_px.copy()
+    if beyond is not None:
+        beyond[part][affected] = 0.0
     label, interior, grown = labels
     tracked = tuple(one for one in depths if one is not None)
-    regions = Regions(last.layers, tracked, label, interior, grown, right, surface)
+    regions = Regions(last.layers, tracked, label, interior, grown, right, surface, beyond)
     return TrackedRegions(regions, np.append(0, np.where(stays, renumbered[1 : count + 1], 0)).astype(np.int32))
 
 

@@ -7,6 +7,7 @@
 - ``contrast_outlines``  outlines between segments of unlike contrast, moved to where the contrast changes
 - ``light_outlines``     outlines moved to edges of the light, where the model of the frame agrees
 - ``shortest_outlines``  outlines shortened as far as the doubt about their pixels allows, along edges of the light
+- ``frame_outlines``     outlines between unlike contrasts to a part of a downsampled pixel, by the raw frame
 - ``pixel_outlines``     outlines between the downsampled pixels of segments, on the frame's pixels
 - ``contrast``           I_x / I_y of pixels and segments, with standard errors
 - ``compose``            PixelDepth, Regions and sharp images -> Image4D

@@ -189,7 +189,7 @@ def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int
     trust = np.where(known, confidence(pixel_error, segment_error, right), 0.0)
     depth_m = np.where(known, 1.0 / vergence, np.nan)
     own = full_depth_m(replace(pixels, claimed=claimed), step, shape)
-    brought = on_pixels(regions.grown, step, shape)
+    brought = on_pixels(regions.grown, step, shape, regions.beyond_px)
     return DepthMaps(brought(regions.grown), brought(depth_m), brought(trust), own)
 
 

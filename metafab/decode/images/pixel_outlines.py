@@ -2,7 +2,8 @@
 
 A downsampled pixel is in one segment, so that its pixels would follow outlines in steps of its side. An outline is
 placed between them: of the segments about a pixel, the one whose downsampled pixels weigh most under a Gaussian has it.
-What is thinner than three downsampled pixels, as a bar, keeps its own.
+What is thinner than three downsampled pixels, as a bar, keeps its own. Outlines that are known more finely
+(:mod:`metafab.decode.images.frame_outlines`) stand where they are.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
@@ -25,11 +27,18 @@ from metafab.decode.registration.downsampling import repeated
 DEVIATION, REACH = 1.3, 2
 
 
-def on_pixels(label: NDArray[np.int32], step: int, shape: tuple[int, int]) -> Callable[[NDArray[Any]], NDArray[Any]]:
+def on_pixels(
+    label: NDArray[np.int32], step: int, shape: tuple[int, int], beyond_px: NDArray[np.float32] | None = None
+) -> Callable[[NDArray[Any]], NDArray[Any]]:
     """A function that brings values of downsampled pixels, shape (m_y, m_x), to the frame's pixels, shape ``shape``.
 
-    Each takes the value of the nearest downsampled pixel of its segment. ``label``, shape (m_y, m_x), holds the numbers
-    of the segments, from 0 for none, and ``step`` is the frame pixels from one downsampled pixel to the next.
+    Each takes the value of the nearest downsampled pixel of its segment.
+
+    Args:
+        label: shape (m_y, m_x), numbers of the segments, from 0 for none.
+        step: frame pixels from one downsampled pixel to the next.
+        shape: (n_y, n_x) of the frame's window.
+        beyond_px: shape (m_y, m_x), as of :class:`metafab.decode.segmentation.segments.Regions`.
     """
     lowest, highest = -window_maxima(-label, 3), window_maxima(label, 3)
     if step == 1 or (lowest == highest).all():
@@ -39,7 +48,10 @@ def on_pixels(label: NDArray[np.int32], step: int, shape: tuple[int, int]) -> Ca
     mixed = np.ascontiguousarray(thick & (window_maxima(label, side) != -window_maxima(-label, side)))
     weights = [_weights(n, step, m) for n, m in zip(shape, label.shape, strict=True)]
     source = np.empty(shape, dtype=np.intp)
-    spread(_write_sources, shape[0], np.ascontiguousarray(label), mixed, step, *weights, source)
+    # Beyond a straight outline, the segment's weight is the integral of the Gaussian.
+    share = ndtr((np.zeros(label.shape) if beyond_px is None else beyond_px) / (DEVIATION * step))
+    odds = np.ascontiguousarray(share / (1.0 - share))
+    spread(_write_sources, shape[0], np.ascontiguousarray(label), mixed, odds, step, *weights, source)
     return lambda values: values.ravel().take(source)
 
 
@@ -57,6 +69,7 @@ def _write_sources(
     stop: int,
     label: NDArray[np.int32],
     mixed: NDArray[np.bool_],
+    odds: FloatArray,
     step: int,
     along_y: FloatArray,
     along_x: FloatArray,
@@ -72,7 +85,7 @@ def _write_sources(
             column = min((x + step // 2) // step, n_x - 1)
             source[y, x] = row * n_x + column
             if mixed[row, column]:
-                best = _heaviest(label, row, column, along_y[y], along_x[x], numbers, sums)
+                best = _heaviest(label, row, column, odds[row, column], along_y[y], along_x[x], numbers, sums)
                 if best != label[row, column]:
                     source[y, x] = _nearest(label, row, column, along_y[y], along_x[x], best)
 
@@ -82,12 +95,13 @@ def _heaviest(
     label: NDArray[np.int32],
     row: int,
     column: int,
+    odds: float,
     along_y: FloatArray,
     along_x: FloatArray,
     numbers: NDArray[np.int32],
     sums: FloatArray,
 ) -> int:
-    """Number of the segment that weighs most about a downsampled pixel; its own wins ties.
+    """Number of the segment that weighs most about a downsampled pixel; its own, times ``odds``, wins ties.
 
     The last two arguments are scratch.
     """
@@ -105,6 +119,7 @@ def _heaviest(
                 count += 1
             sums[k] += along_y[j] * along_x[i]
     best = 0
+    sums[0] *= odds
     for k in range(1, count):
         if sums[k] > sums[best] * (1.0 + 1e-9):
             best = k

@@ -221,8 +221,12 @@ class TileGroup:
 
         ``label`` covers the images with margin.
         """
-        tiles = np.stack([tiling.window(label, tile) for tile in self.tiles])
-        return np.asarray(tiles[self.model.optics.of_tile] == (self.layer + 1)[:, None, None])
+        return np.asarray(self.of_pairs(label, tiling) == (self.layer + 1)[:, None, None])
+
+    def of_pairs(self, picture: NDArray[Value], tiling: Tiling) -> NDArray[Value]:
+        """A picture of the images with margin in the tile of each pair: shape (n_pairs, n_y, n_x)."""
+        tiles = np.stack([tiling.window(picture, tile) for tile in self.tiles])
+        return np.asarray(tiles[self.model.optics.of_tile])
 
 
 def _distances(label: NDArray[np.int32], count: int, reach: float) -> NDArray[np.float32]:

@@ -81,6 +81,9 @@ class Regions:
     #: Shape (n_y, n_x), 1/depth of each pixel of ``grown`` where segments are pieces of continuous surfaces, which no
     #: few planes explain; None where the depth of a pixel is that of its segment.
     surface_per_m: FloatArray | None = None
+    #: Shape (n_y, n_x), frame pixels by which the segment of a pixel reaches beyond its pixels at the nearest outline;
+    #: negative where the segment across does. None where outlines stand at the pixels' edges.
+    beyond_px: NDArray[np.float32] | None = None
 
     @property
     def continuous(self) -> bool:
@@ -96,8 +99,10 @@ class Regions:
         """The segments in a part of the window, with the same numbers."""
         depths = tuple(replace(one, plane=one.plane.moved(-rows.start, -columns.start)) for one in self.depths)
         part = (rows, columns)
+        label, inside, grown_label = (one[part] for one in (self.label, self.interior, self.grown))
         right, surface = (None if one is None else one[part] for one in (self.right, self.surface_per_m))
-        return Regions(self.layers, depths, self.label[part], self.interior[part], self.grown[part], right, surface)
+        beyond = None if self.beyond_px is None else self.beyond_px[part]
+        return Regions(self.layers, depths, label, inside, grown_label, right, surface, beyond)
 
     def with_owners(self, owner: NDArray[np.int32]) -> Regions:
         """The same depths with new outlines: ``owner`` is each pixel's segment or none, shape (n_y, n_x).

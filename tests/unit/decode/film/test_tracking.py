@@ -204,3 +204,15 @@ def test_a_narrow_segment_measured_again_keeps_the_factor_of_a_straight_outline(
 
     depth = SegmentDepth(2.0, 1e-3, 0.9, 1.0, Plane(2.0), 10.0)
     assert error(replace(depth, error_factor=2.0)) == pytest.approx(factor * error(depth))
+
+
+def test_displaced_outlines_stay_where_nothing_changed() -> None:
+    """Pixels that are segmented anew have their outlines at the edges of downsampled pixels."""
+    last = replace(regions(street(), ROAD, Plane(3.0), Plane(2.5)), beyond_px=np.ones(SHAPE, dtype=np.float32))
+    current = regions(street(), ROAD, Plane(3.0), Plane(2.5)).within(*ABOUT)
+    tracked = track(last, current, PART, ABOUT, ALL, STEP_PER_M).regions
+    assert tracked.beyond_px is not None
+    expected = np.ones(SHAPE)
+    expected[PART] = 0.0
+    np.testing.assert_array_equal(tracked.beyond_px, expected)
+    np.testing.assert_array_equal(tracked.within(*PART).beyond_px, np.zeros(expected[PART].shape))

@@ -72,3 +72,16 @@ def test_one_segment_is_repeated() -> None:
     label = np.ones((30, 50), dtype=np.int32)
     values = np.arange(1500.0).reshape(30, 50)
     np.testing.assert_array_equal(on_pixels(label, 3, SHAPE)(values), repeated(values, 3, SHAPE))
+
+
+@pytest.mark.parametrize("beyond", [-2.0, -1.0, 1.0, 2.0])
+def test_a_displaced_outline_stands_on_the_frame_s_pixels(beyond: float) -> None:
+    """Whichever segment a pixel belongs to, within half a pixel; without displacement nothing changes."""
+    label = np.ones((30, 50), dtype=np.int32)
+    label[:, 20:] = 2
+    displaced = np.where(label == 1, beyond, -beyond).astype(np.float32)
+    found = on_pixels(label, 3, SHAPE, displaced)(label)
+    last = np.nonzero(repeated(label, 3, SHAPE)[45] == 1)[0][-1]
+    assert np.nonzero(found[45] == 1)[0][-1] - last == pytest.approx(beyond, abs=0.5)
+    still = on_pixels(label, 3, SHAPE, np.zeros_like(displaced))(label)
+    np.testing.assert_array_equal(still, on_pixels(label, 3, SHAPE)(label))
