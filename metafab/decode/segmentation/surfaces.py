@@ -124,9 +124,7 @@ def first_segments(
     return better if explains_better(better, regions, prepared, volume, pixels) else regions
 
 
-def _foreign_share(
-    regions: Regions, prepared: PreparedFrame, volume: CostVolume, inside: NDArray[np.bool_]
-) -> float:
+def _foreign_share(regions: Regions, prepared: PreparedFrame, volume: CostVolume, inside: NDArray[np.bool_]) -> float:
     """Share of the pixels ``inside`` segments, shape (n_y, n_x), whose twins hold light of another depth; 0 of none."""
     if not inside.any():
         return 0.0

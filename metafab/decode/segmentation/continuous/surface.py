@@ -36,8 +36,8 @@ _EVEN_JUMP, _EDGE_SHARE, _EDGE = 10.0, 0.1, 0.2
 _APART, _LEAST_CURVATURE = 2, 5e-3
 #: Share of the noise above which it outweighs the texture.
 _MOSTLY_NOISE = 0.5
-#: Side of the window in which a pixel's light is compared with more around it, downsampled pixels, and share of the mean
-#: light that is added to it.
+#: Side of the window in which a pixel's light is compared with more around it, downsampled pixels, and share of the
+#: mean light that is added to it.
 _LIGHT_WINDOW, _ADDED_LIGHT = 3, 0.02
 #: Standard deviation of the Gaussian of the planes about each pixel, frame pixels, and their tolerance, levels. With 30
 #: in place of 24 px, hills of 60 px are 3 % farther off; with 18, pictures of planes are 15 %.
