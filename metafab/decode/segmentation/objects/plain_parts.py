@@ -32,8 +32,8 @@ _RIM_PX = 6.0
 #: paper's lens, six have 0.79 to 0.96 at depths within 3 %, and three 0.45 to 0.69; thirteen plain objects before a
 #: wall have 0.57 to 0.72.
 _LEAST_CORRELATION = 0.75
-#: Largest share of the rim within a window of the picture's border, or where no segment is. A part that lies about other
-#: surfaces is no part of theirs, and their outlines are its rim: three such have 0.63 to 0.69.
+#: Largest share of the rim within a window of the picture's border, or where no segment is. A part that lies about
+#: other surfaces is no part of theirs, and their outlines are its rim: three such have 0.63 to 0.69.
 _MOST_OPEN = 0.5
 #: Largest probability of the right depth where only the rim shows it.
 _RIM_RIGHT = 0.85
