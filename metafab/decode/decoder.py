@@ -32,7 +32,7 @@ from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import repeated
 from metafab.decode.registration.twins import TwinGrid
 from metafab.decode.segmentation.layer_light import LayerOptics
-from metafab.decode.segmentation.objects.plain_parts import without_evidence
+from metafab.decode.segmentation.objects.plain_parts import plain_parts_judged
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
@@ -248,7 +248,7 @@ class Decoder:
             regions = outlines_at_edges(regions, prepared, sharp, self.layer_optics, step)
             regions = shortest_outlines(regions, sharp, step)
             regions = outlines_by_frame(regions, prepared, self.layer_optics, step)
-            regions = regions.refused(without_evidence(prepared, volume, regions, pixels))
+            regions = plain_parts_judged(prepared, volume, regions, pixels)
         maps = PixelMaps.of(prepared, pixels, regions, sharp, lit)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 

@@ -77,8 +77,10 @@ class Segmentation:
         allowed = np.stack([np.ones(shape, dtype=bool)] * len(planes) + [near] * len(depths))
         return self.of_layers(planes + [Plane(vergence) for vergence in depths], allowed)
 
-    def of_surfaces(self) -> tuple[Regions, Regions] | None:
-        """Segments of the planes across a surface of semi-global matching; None without any, or of too many cells.
+    def of_surfaces(self, before: Regions | None = None) -> tuple[Regions, Regions] | None:
+        """Segments of the planes across a surface of semi-global matching; None of too many cells.
+
+        Where the surface has no tilted planes, its pieces are the segments ``before``, and without them there are none.
 
         Returns:
             Pixels at the depths of the planes, and all lit pixels, those of plain parts included, at the surface's own.
@@ -95,9 +97,10 @@ class Segmentation:
         cells = replace(cells, vergence_per_m=vergence[at], error_per_m=error)
         side = cell_side(step, _SURFACE_CELL_PX)
         planes = ransac_planes(cells, side, separation, _SURFACE_STEEPEST, _MOST_SURFACES)
-        if not planes:
+        of_surface = replace(self, pixels=replace(self.pixels, vergence_per_m=vergence))
+        regions = of_surface.of_planes(planes) if planes else before
+        if regions is None:
             return None
-        regions = replace(self, pixels=replace(self.pixels, vergence_per_m=vergence)).of_planes(planes)
         everywhere = np.where(prepared.lit, grown(regions.grown), 0).astype(np.int32)
         return regions, replace(regions, grown=everywhere, right=right_depth(surface, step), surface_per_m=vergence)
 

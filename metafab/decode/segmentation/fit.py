@@ -31,7 +31,7 @@ from metafab.decode.segmentation.segments import Regions
 #: Side of the window over which the null energy is averaged, frame pixels.
 _WINDOW_PX = 13
 #: Least error of a calibration, as a share of the texture's energy: that of filters mixed from a basis within 2 %.
-_LEAST_MODEL_ERROR = 1e-3
+LEAST_MODEL_ERROR = 1e-3
 #: Misfit, and share of the texture's energy, from which light of another depth is mixed in. Inside of surfaces noise
 #: leaves less than 2.5 in 99 of 100 pixels, and sharp edges in photographs a share of less than 0.04 in most.
 _FOREIGN, _FOREIGN_SHARE = 3.0, 0.06
@@ -91,7 +91,7 @@ class TwinEnergies:
         root = np.hypot(np.float32(0.5) * (square_x - square_y), product)
         return np.asarray(np.maximum(half - root, np.float32(0.0)))
 
-    def over_noise(self, model_error: float = _LEAST_MODEL_ERROR) -> NDArray[np.float32]:
+    def over_noise(self, model_error: float = LEAST_MODEL_ERROR) -> NDArray[np.float32]:
         """Null energy over what noise and an error of the calibration, a share of the texture, explain: shape (...)."""
         return np.asarray(self.null_energy / (np.float32(1.0) + np.float32(model_error) * self.energy))
 
@@ -185,7 +185,7 @@ def misfit_at(
     null, energy = local.null_energy, local.energy
     inside = interior > 0
     # Medians: what does not belong to a segment must not excuse itself.
-    share = _LEAST_MODEL_ERROR if model_error is None else model_error
+    share = LEAST_MODEL_ERROR if model_error is None else model_error
     if model_error is None and inside.any():
         excess, textured = float(np.median(null[inside])) - 1.0, float(np.median(energy[inside]))
         share = max(share, excess / max(textured, 1e-9))

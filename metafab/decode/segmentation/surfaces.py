@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.segmentation.assignment import Segmentation
-from metafab.decode.segmentation.fit import curved_surface, explains_better, plane_misfit
+from metafab.decode.segmentation.fit import LEAST_MODEL_ERROR, curved_surface, explains_better, misfit_at, plane_misfit
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, ransac_planes
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.segments import Regions, adjacency, depth_layers
@@ -27,6 +28,13 @@ _CLEARLY_BETTER = 0.93
 #: Misfit of pixels' depths to planes fitted to their segments from which segments are sought on continuous surfaces:
 #: scenes of flat objects and photographs on them have 1.0 to 2.4, a steep ground 3.1, the Middlebury motorcycle 6.
 _UNFIT = 2.6
+#: Share of segments' pixels within their interiors below which surfaces are sought, too: near outlines depths mix, and
+#: layers that are mostly outlines explain nothing. Scenes of flat objects have 0.59 to 1, a corner of steep walls 0.31,
+#: three photographs on many steps of depth 0.21 to 0.26.
+_FEW_INSIDE = 0.28
+#: Share of the pixels within interiors whose twins hold light of another depth, from which they are sought, too: flat
+#: scenes have 0.00 to 0.08, one with a cluttered background 0.12, photographs on steps 4 to 40 px wide 0.23 and 0.27.
+_FOREIGN_INSIDE = 0.15
 #: Relative difference of planes from the surface that they run across.
 #: Share of the pixels within segments that differ by more, from which each pixel has the surface's own depth. It is
 #: 0.02 to 0.2 in five pictures with depth and a steep ground, and 0 for a film's tilted road, which is wrong in 0.2 %
@@ -82,9 +90,9 @@ def first_segments(
     layers become planes, and pixels are assigned to them once more. Where noise tells more layers apart, those replace
     them if the pixels' depths fit clearly better: a staircase lies within the cells' errors of a plane. Segments whose
     pixels lie on a quadric of vergence become one, if there are no more of them and they explain the twins better.
-    Where the pixels' depths fit no planes, pixels have the depth of a continuous surface, and segments are pieces of
-    planes across it, if that explains the twins better. Where these planes are hardly anywhere off the surface, pixels
-    keep the planes' depths.
+    Where the pixels' depths fit none of these, most pixels lie near outlines, or the twins in interiors hold light of
+    other depths, pixels have the depth of a continuous surface, and segments are pieces of planes across it, if that
+    explains the twins better. Where these planes are hardly anywhere off the surface, pixels keep the planes' depths.
     """
     segmentation = Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
     if any(plane.tilted for plane in known):
@@ -94,18 +102,22 @@ def first_segments(
         none = np.zeros(volume.shape, dtype=np.int32)
         return Regions(0, (), none, none, none)
     regions = _of_layers_or_planes(segmentation, coarse, refined=refined)
-    inside = unspoiled(prepared, pixels).claimed & (regions.interior > 0)
-    if not (refined and inside.any()):
+    clean = unspoiled(prepared, pixels).claimed
+    if not (refined and (clean & (regions.interior > 0)).any()):
         return regions
     planes = curved_and_planes(regions, pixels, segmentation.separation_per_m)
     if any(plane.curved for plane in planes):
         curved = segmentation.of_planes(planes)
         fewer = len(curved.depths) <= len(regions.depths)
         if fewer and explains_better(curved, regions, prepared, volume, pixels):
-            return curved
-    if inside.size > _MOST_SURFACE_PIXELS or plane_misfit(regions, pixels, inside, _TILTED) < _UNFIT:
+            regions = curved
+    inside = clean & (regions.interior > 0)
+    if inside.size > _MOST_SURFACE_PIXELS:
         return regions
-    found = segmentation.of_surfaces()
+    layered = _has_layers(regions, prepared, volume, inside, clean)
+    if layered and plane_misfit(regions, pixels, inside, _TILTED) < _UNFIT:
+        return regions
+    found = segmentation.of_surfaces(None if layered else regions)
     if found is None:
         return regions
     of_planes, surface = found
@@ -113,6 +125,26 @@ def first_segments(
     off = np.abs(of_planes.vergence_per_m(inner) / surface.vergence_per_m(inner) - 1.0) > _OFF_SURFACE
     better = surface if off.sum() > _FEW_OFF * np.count_nonzero(inner) else of_planes
     return better if explains_better(better, regions, prepared, volume, pixels) else regions
+
+
+def _has_layers(
+    regions: Regions,
+    prepared: PreparedFrame,
+    volume: CostVolume,
+    inside: NDArray[np.bool_],
+    clean: NDArray[np.bool_],
+) -> bool:
+    """Whether enough of the segments' pixels lie in interiors, and few of these hold light of another depth.
+
+    Args:
+        inside: shape (n_y, n_x), pixels within interiors that count.
+        clean: shape (n_y, n_x), all pixels that count.
+    """
+    if np.count_nonzero(inside) < _FEW_INSIDE * np.count_nonzero(clean & (regions.grown > 0)) or not inside.any():
+        return False
+    vergence = regions.vergence_per_m(regions.grown)
+    misfit = misfit_at(prepared, volume, vergence, regions.interior, LEAST_MODEL_ERROR)
+    return float(misfit.is_foreign[inside].mean()) <= _FOREIGN_INSIDE
 
 
 def _of_layers_or_planes(segmentation: Segmentation, coarse: list[Plane], *, refined: bool) -> Regions:

@@ -17,7 +17,7 @@ from metafab.core.parallel.executor import spread
 #: Rounds of the reweighted fit. The first is about the pixel's own level, with twice the tolerance.
 _ROUNDS = 3
 #: Samples on each side of the pixel, along both axes, at most: wider surroundings are sampled more coarsely.
-_SAMPLES = 10
+_SAMPLES = 8
 #: Distance from the plane, in tolerances, from which a sample is left out: it would weigh 1 % of one on the plane.
 _OUTLIER = 3.0
 #: Ridge on slopes, as a share of the sum of weights, per squared pixel: samples on one line have no slope across it.
