@@ -129,8 +129,7 @@ def run(
     interpolates. ``say`` is called with announcements before the work begins. InputError if another process runs in
     this folder.
     """
-    # The matrices are small: further threads of BLAS would wait in busy loops on the cores of the workers.
-    with one_blas_thread(), compiling_ahead(work.workers):
+    with compiling_ahead(work.workers):
         return _run(Job(with_targets(design), folder, work, skips), steps, check, say)
 
 
@@ -139,7 +138,7 @@ def _run(job: Job, steps: Sequence[Step], check: Step, say: Callable[[Sequence[s
     names = tuple(step.name for step in (check, *steps))
     state = _State(job, names, _read_records(folder, (check, *steps)), _read_log(folder))
     if not state.is_current(check):
-        figures = check.work(job)
+        figures, _ = _cost_of(check, job)
         say(figures.announcements)
         state.records[check.name] = Record.of(state.fingerprint(check), {}, figures)
     folder.mkdir(parents=True, exist_ok=True)
@@ -321,7 +320,8 @@ def _marks(paths: Mapping[str, Path]) -> dict[str, FileMark]:
 
 def _cost_of(step: Step, job: Job) -> tuple[Any, Cost]:
     """Run a step; return its figures and its cost. The memory that it leaves behind is not held during the next one."""
-    with measured() as cost:
+    # The matrices are small: further threads of BLAS would wait in busy loops on the cores of the workers.
+    with measured() as cost, one_blas_thread():
         figures = step.work(job)
     give_back_freed_memory()
     return figures, cost

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,8 @@ from metafab.library.surface import Surface
 from metafab.phase.build import profile_of
 from metafab.phase.studies.study import study
 from metafab.run import run
+from metafab.spec import load_design
+from metafab.steps.preflight import PREFLIGHT
 
 
 class _ReachedError(Exception):
@@ -33,6 +36,7 @@ class _Probe:
         raise _ReachedError
 
 
+LAYOUTS = Path(__file__).parents[2] / "layouts"
 _AXIS = np.linspace(100.0, 110.0, 6)
 _CALLS: dict[str, Callable[[Any], Any]] = {
     "decoder": lambda probe: Decoder.of(probe, (1, 1), (0.0, 0.0)),
@@ -40,8 +44,15 @@ _CALLS: dict[str, Callable[[Any], Any]] = {
     "surface of a library": lambda probe: Surface.of_model(_AXIS, _AXIS, probe, np.zeros((6, 6)), 1e-3),
     "target phases": profile_of,
     "study of the phases": lambda probe: study(probe, probe),
-    "run": lambda probe: run(probe, Path("nowhere")),
 }
+
+
+def test_steps_of_a_run_have_one_thread_of_blas(tmp_path: Path) -> None:
+    probe = _Probe()
+    check = replace(PREFLIGHT, work=lambda job: probe.figures)
+    with threadpool_limits(2, "blas"), pytest.raises(_ReachedError):
+        run(load_design(LAYOUTS / "helix_small.toml"), tmp_path, check=check)
+    assert set(probe.threads) == {1}
 
 
 @pytest.mark.parametrize("name", _CALLS)
