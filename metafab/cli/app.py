@@ -49,7 +49,8 @@ class _Command(TyperCommand):
         given = [value for name, value in ctx.params.items() if name != "output"]
         lists = [value if isinstance(value, list | tuple) else [value] for value in given]
         read = [value for values in lists for value in values if isinstance(value, Path)]
-        if isinstance(output, Path):
+        source = ctx.get_parameter_source("output")
+        if isinstance(output, Path) and source.name == "COMMANDLINE":
             from metafab.core.storage.files import require_output
 
             require_output(output, read)

@@ -86,6 +86,13 @@ class FilmFigures:
         )
 
 
+def frame_files(path: Path, frames: int) -> list[Path]:
+    """Files of a film's frames: ``path`` of one alone, several have numbers from 1."""
+    if frames == 1:
+        return [path]
+    return [path.with_name(f"{path.stem}_{number:04d}{path.suffix}") for number in range(1, frames + 1)]
+
+
 def capture(
     scene: Scene,
     psf_path: Path,
@@ -106,8 +113,8 @@ def capture(
     camera.require_frame_name(path)
     psf, filmed = optics.load(psf_path), replace(scene, frames=frames)
     inputs = fingerprint(scene, frames, seed, file_sha256(psf_path))
-    for number, frame in enumerate(camera.film(filmed, psf, seed=seed, progress=progress), start=1):
-        file = path if frames == 1 else path.with_name(f"{path.stem}_{number:04d}{path.suffix}")
+    shots = camera.film(filmed, psf, seed=seed, progress=progress)
+    for file, frame in zip(frame_files(path, frames), shots, strict=True):
         if path.suffix.lower() in HDF5_SUFFIXES:
             camera.save(frame, file, inputs_sha256=inputs)
         else:
@@ -137,8 +144,8 @@ def capture_batch(
             expected += f", the field of {scenes[0][0].name}"
             raise InputError.single(str(file), "field_px", expected, got, "give all scenes one field")
     start, total = scenes[0][1].seed if seed is None else seed, draws * len(scenes)
-    if start + total > np.iinfo(np.int64).max:
-        expected = f"a seed that leaves {total} more below 2^63, which the file holds"
+    if start + total - 1 > np.iinfo(np.int64).max:
+        expected = f"a seed of which the last of {total} is below 2^63, which the file holds"
         raise InputError.single(str(scenes[0][0]), "seed", expected, f"{start}", "start with a smaller one")
     psf, photons = optics.load(psf_path), 0.0
     shape: tuple[int, ...] = ()

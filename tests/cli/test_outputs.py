@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from metafab.core.errors import InputError
@@ -105,5 +106,16 @@ def test_a_number_beyond_all_units_is_refused(command: list[str], tmp_path: Path
 def test_a_batch_holds_its_seeds(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_text("[[objects]]\ndepth_m = 0.003\n")
     command = ("capture", "scene.toml", "--psf", "none.h5", "--draws", "2", "-o", "batch.h5", "--seed")
-    answer = metafab(*command, str(2**63 - 2), cwd=tmp_path)
-    assert (answer.code, "`seed`: expected a seed that leaves 2 more below 2^63" in answer.stderr) == (2, True)
+    answer = metafab(*command, str(2**63 - 1), cwd=tmp_path)
+    assert (answer.code, "`seed`: expected a seed of which the last of 2 is below 2^63" in answer.stderr) == (2, True)
+
+
+def test_frames_of_a_film_are_not_written_over_pictures_of_the_scene(tmp_path: Path) -> None:
+    """The names that count are those of the frames."""
+    np.save(tmp_path / "texture_0002.npy", np.ones((4, 4)))
+    lines = ("[[objects]]", "depth_m = 0.003", 'texture = "image"', 'texture_file = "texture_0002.npy"')
+    (tmp_path / "scene.toml").write_text("\n".join(lines) + "\n")
+    command = ("capture", "scene.toml", "--psf", "none.h5", "--frames", "2", "-o")
+    answer = metafab(*command, "texture.npy", cwd=tmp_path)
+    assert (answer.code, "texture_0002.npy" in answer.stderr) == (2, True)
+    assert "none.h5" in metafab(*command, "other.npy", cwd=tmp_path).stderr

@@ -87,7 +87,7 @@ def capture_command(
     from metafab.core.storage.files import HDF5_SUFFIXES, require_file_output, require_hdf5_name
     from metafab.core.storage.provenance import named_files
     from metafab.spec import load_scene
-    from metafab.steps.images import capture, capture_batch
+    from metafab.steps.images import capture, capture_batch, frame_files
 
     path = output or Path("raw.h5" if draws is None else "batch.h5")
     in_counts = path.suffix.lower() not in HDF5_SUFFIXES
@@ -112,7 +112,8 @@ def capture_command(
     shape: tuple[int, ...] = ()
     counts: Counts | None = None
     scene = load_scene(scenes[0])
-    require_file_output(path, [*scenes, psf, *named_files(scene)])
+    for file in frame_files(path, frames):
+        require_file_output(file, [*scenes, psf, *named_files(scene)])
     with open_work() as (work, cost):
         filmed = capture(scene, psf, path, frames, seed=seed, black=black, progress=work.progress)
         for frame, file in filmed:

@@ -108,21 +108,24 @@ def open_threads(
 def one_blas_thread() -> Iterator[None]:
     """Limit the BLAS libraries of this process to one thread each; they are looked up at the first call alone.
 
-    The limit holds for the whole process: while one block holds it, others, of this thread or another one, leave it as
-    it is. Each would restore what it found: after blocks that overlap, the limit would stay.
+    The limit holds for the whole process, from the first of blocks that overlap, in this thread or others, to the end
+    of the last. If each restored what it found, the limit could stay, or end within a block.
     """
-    if not _blas_limit.acquire(blocking=False):
-        yield
-        return
+    with _blas_lock:
+        _blas_limits.append(None if _blas_limits else _blas().limit(limits=1, user_api="blas"))
     try:
-        with _blas().limit(limits=1, user_api="blas"):
-            yield
+        yield
     finally:
-        _blas_limit.release()
+        with _blas_lock:
+            first = _blas_limits[0]
+            _blas_limits.pop()
+            if not _blas_limits:
+                first.restore_original_limits()
 
 
-#: Held by the block that limits BLAS.
-_blas_limit = Lock()
+_blas_lock = Lock()
+#: One entry for each block that asks for one thread; the first restores what was before.
+_blas_limits: list[Any] = []
 
 
 @cache

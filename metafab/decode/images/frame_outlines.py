@@ -41,13 +41,13 @@ def outlines_by_frame(regions: Regions, prepared: PreparedFrame, optics: LayerOp
         optics: the pair on the frame's downsampled pixels.
         step: frame pixels from one downsampled pixel to the next.
     """
-    if len(regions.depths) < 2 or regions.continuous:
+    if step == 1 or len(regions.depths) < 2 or regions.continuous:
         return regions
     label, model = regions.grown, FrameModel(prepared, regions, optics)
     vergence = regions.vergence_per_m(label)
     across, away = across_outlines(label, vergence)
     asked = (away <= _REACH) & model.unlike[label, across] & (regions.right != 0.0)
-    asked &= ~(regions.of_outline[label] | regions.of_outline[across])
+    asked &= ~(regions.of_outline[label] | regions.of_outline[across] | prepared.spoiled)
     asked &= distance(~prepared.enclosed) * step > _LIT_PX
     if not asked.any():
         return regions

@@ -49,7 +49,8 @@ def on_pixels(
     weights = [_weights(n, step, m) for n, m in zip(shape, label.shape, strict=True)]
     source = np.empty(shape, dtype=np.intp)
     # Beyond a straight outline, the segment's weight is the integral of the Gaussian.
-    share = ndtr((np.zeros(label.shape) if beyond_px is None else beyond_px) / (DEVIATION * step))
+    beyond = np.zeros(label.shape) if beyond_px is None else beyond_px.astype(np.float64)
+    share = ndtr(beyond / (DEVIATION * step))
     odds = np.ascontiguousarray(share / (1.0 - share))
     spread(_write_sources, shape[0], np.ascontiguousarray(label), mixed, odds, step, *weights, source)
     return lambda values: values.ravel().take(source)

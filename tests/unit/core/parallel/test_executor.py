@@ -150,6 +150,7 @@ with one_blas_thread():
     assert set(blas_threads()) == {1}
     second.set()
     other.join()
+    assert set(blas_threads()) == {1}  # the block that began first has ended
 assert blas_threads() == before, blas_threads()
 """
 
