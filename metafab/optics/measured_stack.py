@@ -137,8 +137,9 @@ def psf_of_stack(
     if crowded > _CROWDED:
         warnings.append(f"{100.0 * crowded:.2g} % of a picture's light lies in its border: photograph a larger window")
     if (most := int(shared.max())) > _MOST_PEAKS:
-        where, brightest = np.unravel_index(shared.argmax(), shared.shape), "share exactly its largest value"
-        warnings.append(f"{most} pixels of the picture at {depth[where[1]]:g} m {brightest}: is it saturated?")
+        _, at = np.unravel_index(shared.argmax(), shared.shape)
+        pixels = f"{most} pixels of the picture at {depth[at]:g} m"
+        warnings.append(f"{pixels} share exactly its largest value: is it saturated?")
     psf = Psf(
         depth_m=depth,
         pixel_um=pixel_um,

@@ -78,7 +78,7 @@ class Segmentation:
         return self.of_layers(planes + [Plane(vergence) for vergence in depths], allowed)
 
     def of_surfaces(self, before: Regions | None = None) -> tuple[Regions, Regions] | None:
-        """Segments of the planes across a surface of semi-global matching; None of too many cells.
+        """Segments of the planes across a surface of semi-global matching; None if it has too many cells.
 
         Where the surface has no tilted planes, its pieces are the segments ``before``, and without them there are none.
 

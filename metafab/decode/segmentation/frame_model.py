@@ -45,8 +45,8 @@ _JUDGED_PX = 8.0
 #: Standard deviation of the Gaussian over which misfits of displaced outlines are pooled, frame pixels: with 4, 6 and 9
 #: a natural scene is 0.985, 0.991 and 1.003 % off.
 _DISPLACED_PX = 4.0
-#: Difference of the logarithms of I_x / I_y from which contrasts are unlike: that of two segments told apart by
-#: :mod:`metafab.decode.images.contrast_outlines`, with the least spreads there.
+#: Difference of the logarithms of I_x / I_y from which contrasts are unlike: the least by which
+#: :mod:`metafab.decode.images.contrast_outlines` tells two segments apart.
 _UNLIKE = 0.1
 #: Least moves in a tile's core, downsampled pixels, for which it is computed: fewer stay where they are. That leaves
 #: out 0.1 % of a frame's pixels and half of the tiles of its first moves, and outlines err no more. With 32, natural

@@ -137,6 +137,9 @@ def _has_layers(
     """Whether enough of the segments' pixels lie in interiors, and few of these hold light of another depth.
 
     Args:
+        regions: segments.
+        prepared: the frame.
+        volume: its cost volume.
         inside: shape (n_y, n_x), pixels within interiors that count.
         clean: shape (n_y, n_x), all pixels that count.
     """

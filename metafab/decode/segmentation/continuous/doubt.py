@@ -5,9 +5,9 @@ reaches across it, in what another depth would cost, in how dim the place is bes
 its texture, and in the share of noise. No model of layers tells which side of an outline a pixel lies on, so that these
 pixels are doubted as a whole. The weights were fitted by maximum likelihood to the pixels of ten frames, each with the
 same weight: the Middlebury motorcycle with the inverse of its disparity, at 3000 and 500 electrons, and mirrored with
-its metric depth; and seven pictures of hills, rooms, leaves and steps with other textures. A picture that the fit
-leaves out is wrong in 0.1 to 7.5 % of its pixels above 0.9, where 2 to 5 % are stated. The odds are a third higher than
-fitted, for those that are wrong more often: 0.1 to 5 % are.
+its metric depth; and seven pictures of hills, rooms, leaves and steps with other textures. When a picture
+is left out of the fit, 0.1 to 7.5 % of its pixels with a probability above 0.9 are wrong, where 2 to 5 % are stated.
+The odds of a wrong depth are therefore a third higher than fitted: then 0.1 to 5 % of these pixels are wrong.
 """
 
 from __future__ import annotations
