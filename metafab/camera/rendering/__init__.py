@@ -2,7 +2,8 @@
 
 - ``texture``    brightness patterns
 - ``render``     objects -> coverage and brightness at each of their depths
-- ``picture``    scenes given by a picture and its depths
+- ``picture``    surfaces of a scene that is given by a picture and its depths
+- ``picture_image`` image of these surfaces, with constant radiance at outlines
 - ``occlusion``  share of the aperture that sees each point of a surface behind another
 - ``motion``     a moving scene -> the scene at one time; rows of the sensor -> their exposures
 - ``windows``    rectangles of the sensor on which the two images lie

@@ -19,11 +19,11 @@ from metafab.core.conventions import FloatArray
 BASIS_TOLERANCE = 1e-6
 #: Share that the basis of veils may leave out. A veil is the part of each pixel's view that a layer covers; it serves
 #: only to correct the light at outlines.
-_VEIL_TOLERANCE = 1e-3
+VEIL_TOLERANCE = 1e-3
 #: Directions whose field weights are computed at a time: they stay in the cache.
 _BLOCK_PX = 4096
 #: Smallest throughput that is divided by: darker kernels, of a ghost that is absent, hide nothing and show nothing.
-_DARK = 1e-30
+DARK = 1e-30
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class FieldBlur:
         energy = np.cumsum(singular**2)
         count, veil_count = (
             1 + int(np.searchsorted(energy, (1.0 - tolerance) * energy[-1]))
-            for tolerance in (BASIS_TOLERANCE, _VEIL_TOLERANCE)
+            for tolerance in (BASIS_TOLERANCE, VEIL_TOLERANCE)
         )
         coefficients = (left[:, :count] * singular[:count]).reshape(n_field_y, n_field_x, count)
         basis = right[:count].reshape(count, n_y, n_x).copy()  # A view would keep all of ``right``.
@@ -80,7 +80,7 @@ class FieldBlur:
             The light of the layers and, after it, the coverages, along the first axis.
         """
         maps, throughput = self._maps(tangent_x, tangent_y, self.veil_count)
-        return self._spread(np.stack([*light, *(each / np.maximum(throughput, _DARK) for each in coverage)]), maps)
+        return self._spread(np.stack([*light, *(each / np.maximum(throughput, DARK) for each in coverage)]), maps)
 
     def _maps(self, tangent_x: FloatArray, tangent_y: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
         """Coefficients of the leading basis kernels, (count, n_y, n_x), and throughput, (n_y, n_x), at directions."""

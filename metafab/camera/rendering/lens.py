@@ -12,6 +12,7 @@ from metafab.camera.kernels import PairKernels
 from metafab.camera.rendering.blurs import Blurs
 from metafab.camera.rendering.occlusion import Occluder, hidden_region, padded, shifted, visible_piece, visible_share
 from metafab.camera.rendering.picture import DepthPicture, surfaces
+from metafab.camera.rendering.picture_image import picture_image
 from metafab.camera.rendering.render import Piece, Renderer, extent
 from metafab.camera.rendering.windows import Window, shifts_px_m
 from metafab.core.conventions import FloatArray
@@ -140,10 +141,9 @@ class Lens:
         window = self.windows[polarisation]
         directions = (window.tangent_x, window.tangent_y)
         channel = self._channel(polarisation)
-        blur = self.blurs.over_depths(polarisation)
-        for surface in surfaces(picture, *directions, self.kernels.psf.depth_m, self._shifts(window), channel):
-            image = blur(surface.brightness * window.gain * window.stop, surface.vergence_per_m, *directions)
-            light[: image.shape[0], : image.shape[1]] += image
+        found = surfaces(picture, *directions, self.kernels.psf.depth_m, self._shifts(window), channel)
+        image = picture_image(found, self.blurs.over_depths(polarisation), window)
+        light[: image.shape[0], : image.shape[1]] += image
 
     def _shifts(self, window: Window) -> FloatArray:
         pair = self.kernels.relative_to or self.kernels.psf

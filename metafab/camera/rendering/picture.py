@@ -6,7 +6,6 @@ surface keeps its depth and light at the outline, as far as any aperture point s
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from scipy.ndimage import map_coordinates, maximum_filter, minimum_filter
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled
+from metafab.core.numeric.distance import nearest
 from metafab.core.parallel.executor import spread
 from metafab.core.storage.pictures import read_grey
 from metafab.spec.fields import LARGEST
@@ -87,8 +87,9 @@ class DepthPicture:
 class Surface:
     """A surface of continuous depth on a pixel grid, before any blur."""
 
-    brightness: FloatArray  #: Shape (n_y, n_x), light that the aperture sees; 0 where the surface is not.
-    vergence_per_m: FloatArray  #: Shape (n_y, n_x), 1/depth; any value where there is no light.
+    light: FloatArray  #: Shape (n_y, n_x), light that it would send if nothing stood before it; 0 in holes.
+    share: FloatArray  #: Shape (n_y, n_x), share of the aperture that sees each pixel; 0 where the surface is not.
+    vergence_per_m: FloatArray  #: Shape (n_y, n_x), 1/depth; in holes that of the nearest known pixel.
 
 
 def surfaces(
@@ -98,8 +99,8 @@ def surfaces(
     calibrated_m: FloatArray,
     shifts_px_m: FloatArray,
     polarisation: int,
-) -> Iterator[Surface]:
-    """Yield the surfaces that the aperture sees: that of the picture, and its continuation behind outlines.
+) -> list[Surface]:
+    """The surfaces that the aperture sees: that of the picture, and its continuation behind outlines.
 
     Args:
         tangent_x: shape (n_y, n_x), x/z of the grid's directions; likewise ``tangent_y``.
@@ -111,7 +112,7 @@ def surfaces(
     light = light * (2.0 * contrast if polarisation == 0 else 2.0) / (1.0 + contrast)
     known = np.isfinite(depth_m)
     if not known.any():
-        return
+        return []
     near, far = calibrated_m.min() * (1.0 - 1e-9), calibrated_m.max() * (1.0 + 1e-9)
     if depth_m[known].min() < near or depth_m[known].max() > far:
         got = f"{depth_m[known].min():g} to {depth_m[known].max():g} m"
@@ -120,12 +121,16 @@ def surfaces(
     # Holes hide nothing and have no light: they count as infinitely far.
     vergence = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0)
     reach = float(np.abs(shifts_px_m).max())
-    yield Surface(light * known * _open_share(vergence, vergence, known, shifts_px_m), vergence)
-    if reach == 0.0:
-        return
-    behind, behind_light, hidden = _behind(vergence, light, known, reach)
-    if hidden.any():
-        yield Surface(behind_light * hidden * _open_share(vergence, behind, hidden, shifts_px_m), behind)
+    _, row, column = nearest(known)
+    share = _open_share(vergence, vergence, known, shifts_px_m)
+    found = [Surface(light * known, share, vergence[row, column])]
+    if reach > 0.0:
+        behind, behind_light, hidden = _behind(vergence, light, known, reach)
+        if hidden.any():
+            found.append(
+                Surface(behind_light * hidden, hidden * _open_share(vergence, behind, hidden, shifts_px_m), behind)
+            )
+    return found
 
 
 def _jump(reach_px_m: float) -> float:

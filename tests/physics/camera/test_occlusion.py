@@ -10,6 +10,7 @@ import pytest
 from metafab.camera import ImageMap, PairKernels
 from metafab.camera.rendering.blurs import Blurs
 from metafab.camera.rendering.lens import Lens
+from metafab.camera.rendering.picture import DepthPicture
 from metafab.camera.rendering.render import Renderer
 from metafab.camera.rendering.windows import sensor_windows
 from metafab.core.conventions import FloatArray, sensor_distance_um
@@ -59,10 +60,30 @@ def direct(psf: Psf, renderer: Renderer, lens: Lens) -> FloatArray:
     return image / psf.psf[:, psf.depth_m.size // 2].sum(axis=(-2, -1)).mean() / psf.pixel_um**2
 
 
-def errors(psf: Psf, *objects: SceneObject) -> tuple[float, float, float]:
-    """Largest and rms error over the image's 99th percentile, and relative error of the light, within the field."""
+def as_picture(psf: Psf, renderer: Renderer) -> DepthPicture:
+    """The nearest surface of each pixel, in the same light, as a picture with its depth."""
+    axis = (np.arange(49) - 24) * PIXEL
+    tangent_x, tangent_y = np.meshgrid(axis, -axis)
+    light, depth_m = np.zeros(tangent_x.shape), np.full(tangent_x.shape, np.nan)
+    for piece in renderer.pieces(tangent_x, tangent_y):
+        covered, here = piece.coverage.sum(axis=0), (piece.rows, piece.columns)
+        mine = covered >= 0.5
+        light[here][mine] = piece.brightness.sum(axis=0)[mine] / covered[mine]
+        depth_m[here][mine] = piece.mean_depth_m[mine]
+    return DepthPicture(light, depth_m, np.ones(light.shape), (24.5 * PIXEL, 24.5 * PIXEL))
+
+
+def errors(psf: Psf, *objects: SceneObject, picture: bool = False) -> tuple[float, float, float]:
+    """Largest and rms error over the image's 99th percentile, and relative error of the light, within the field.
+
+    With ``picture``, the camera photographs a picture with depth in place of the objects.
+    """
     image, renderer, lens = rendered(psf, *objects)
     true = direct(psf, renderer, lens)
+    if picture:
+        window, alone = lens.windows[0], replace(lens, still={}, picture=as_picture(psf, renderer))
+        row, column = window.row - lens.bottom - 24, window.column - lens.left - 24
+        image = alone.light(renderer, silent)[row : row + 96, column : column + 96]
     inner = (slice(28, 68), slice(28, 68))
     off = (image - true)[inner] / np.percentile(true, 99.0)
     return float(np.abs(off).max()), float(off.std()), abs(float(image[inner].sum() / true[inner].sum() - 1.0))
@@ -91,6 +112,33 @@ SCENES = {
 def test_the_cameras_error_against_the_direct_sum_is_the_stated_one(psf: Psf, name: str) -> None:
     objects, stated = SCENES[name]
     measured = errors(psf, *objects)
+    assert all(error <= bound for error, bound in zip(measured, stated, strict=True)), measured
+
+
+#: The same scenes, with outlines between pixels, as pictures with depth: largest and rms error, and that of the light.
+#: A plain wall, because a picture does not tell what texture goes on behind an outline. Without the balance of radiance
+#: at outlines they are 0.19, 0.066 and 0.012; 0.19, 0.051, 0.009; 0.22, 0.093, 0.011; 0.24, 0.055, 0.017; 0.038, 0.0094
+#: and 0.001.
+WALL = replace(FAR, texture="uniform")
+PICTURES = {
+    "edge": ([WALL, surface(0.0026, (20.5, 0), (40, 60))], (0.08, 0.02, 0.002)),
+    "corner": ([WALL, surface(0.0026, (20.5, 20.5), (40, 40))], (0.13, 0.025, 0.002)),
+    "hole": ([WALL, *(surface(0.0026, (x, 0), (27, 60)) for x in (20, -20))], (0.075, 0.024, 0.006)),
+    "three layers": (
+        [WALL, surface(0.003, (6, 3), (25, 25)), surface(0.0026, (0, 0), (13, 13), texture="fractal")],
+        (0.09, 0.025, 0.005),
+    ),
+    "near depths": (
+        [surface(0.0031, (0, 0), (60, 60), texture="fractal"), surface(0.003, (12, 5), (25, 31))],
+        (0.03, 0.006, 0.001),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_pictures_with_depth_are_as_near_to_the_direct_sum_as_objects(psf: Psf, name: str) -> None:
+    objects, stated = PICTURES[name]
+    measured = errors(psf, *objects, picture=True)
     assert all(error <= bound for error, bound in zip(measured, stated, strict=True)), measured
 
 

@@ -51,13 +51,33 @@ def test_each_pixel_is_blurred_at_its_depth_and_direction(depths: int, field: tu
     light = rng.uniform(0.0, 1.0, SHAPE) * (rng.random(SHAPE) < 0.4)
     y, x = np.meshgrid(np.linspace(-0.05, 0.05, SHAPE[0]), np.linspace(-0.09, 0.09, SHAPE[1]), indexing="ij")
     wanted = summed(kernels, light, depth_m, x, y)
-    found = DepthBlur.of(kernels, 0)(light, 1.0 / depth_m, x, y)
+    found = DepthBlur.of(kernels, 0)(light[None], 1.0 / depth_m[None], x, y)
     assert np.linalg.norm(found - wanted) < 1e-3 * np.linalg.norm(wanted)
 
 
 def test_the_dark_stays_dark() -> None:
     blur, dark = DepthBlur.of(PairKernels(pair(5, None)), 1), np.zeros(SHAPE)
     k_y, k_x = blur.basis.shape[1:]
-    image = blur(dark, dark, dark, dark)
+    image = blur(dark[None], dark[None], dark, dark)
     assert image.shape == (SHAPE[0] + k_y - 1, SHAPE[1] + k_x - 1)
     assert not image.any()
+
+
+def test_light_of_surfaces_on_one_grid_adds_up() -> None:
+    blur, rng = DepthBlur.of(PairKernels(pair(5, (2, 2))), 0), np.random.default_rng(3)
+    light, depth_m = rng.uniform(0.0, 1.0, (2, *SHAPE)), rng.uniform(0.00251, 0.00349, (2, *SHAPE))
+    y, x = np.meshgrid(np.linspace(-0.05, 0.05, SHAPE[0]), np.linspace(-0.09, 0.09, SHAPE[1]), indexing="ij")
+    both = blur(light, 1.0 / depth_m, x, y)
+    alone = sum(blur(light[one : one + 1], 1.0 / depth_m[one : one + 1], x, y) for one in range(2))
+    # Single precision.
+    assert np.abs(both - alone).max() < 1e-5 * both.max()
+
+
+def test_coverage_of_a_surface_that_fills_the_view_is_1() -> None:
+    blur = DepthBlur.of(PairKernels(pair(5, (2, 2))), 0)
+    k_y, k_x = blur.basis.shape[1:]
+    shape = (2 * k_y, 2 * k_x)
+    y, x = np.meshgrid(np.zeros(shape[0]), np.full(shape[1], 0.01), indexing="ij")
+    covered = blur.coverage(np.ones((1, *shape)), np.full((1, *shape), 1.0 / 0.0029), x, y)
+    inside = (slice(k_y, shape[0]), slice(k_x, shape[1]))
+    assert np.abs(covered[inside] - 1.0).max() < 1e-5
