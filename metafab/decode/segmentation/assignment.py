@@ -180,7 +180,7 @@ def measured_depth(volume: CostVolume, cells: Cells, layer: Plane) -> SegmentDep
 
 
 def measured_again(volume: CostVolume, cells: Cells, before: SegmentDepth, pixels: float, step: int) -> SegmentDepth:
-    """Depth of a segment from other cells, or the depth before if they have none.
+    """Depth of a segment from other cells, or the depth before if they have none, or too few for its tilt.
 
     Args:
         volume: cost volume that holds the cells.
@@ -189,7 +189,7 @@ def measured_again(volume: CostVolume, cells: Cells, before: SegmentDepth, pixel
         pixels: downsampled pixels of the segment.
         step: frame pixels from one downsampled pixel to the next.
     """
-    if before.of_outline:
+    if before.of_outline or (before.plane.tilted and not cells.pixels.size):
         return replace(before, pixels=pixels)
     factor = before.error_factor if pixels * step**2 < NARROW_PX else 1.0
     measured = measured_depth(volume, cells, before.plane)

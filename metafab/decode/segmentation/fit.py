@@ -379,7 +379,7 @@ def plane_misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_]
         mask = number == one
         row, column = (axis[mask].astype(np.float64) for axis in place)
         away[mask] -= _robust_fit(_monomials(row, column)[0][:, :free] / error[mask][:, None], away[mask])[0]
-    return _mean_square(away)
+    return mean_square(away)
 
 
 def curved_surface(regions: Regions, pixels: PixelDepth, numbers: Sequence[int]) -> Plane | None:
@@ -404,14 +404,14 @@ def curved_surface(regions: Regions, pixels: PixelDepth, numbers: Sequence[int])
     on_quadric, quadric = _robust_fit(monomials / error[:, None], away)
     bend = float(np.ptp(monomials[:, 3:] @ quadric[3:]))
     share = _CURVED_SHARE if len(numbers) == 1 else _RINGS_SHARE
-    if _mean_square(away - on_quadric) > share * of_planes or bend < _SMALLEST_RISE * middle:
+    if mean_square(away - on_quadric) > share * of_planes or bend < _SMALLEST_RISE * middle:
         return None
     rise, y, x, yy, yx, xx = (quadric / half ** np.array([0, 1, 1, 2, 2, 2])).tolist()
     return Plane(middle + rise, (y, x), centre, (yy, yx, xx))
 
 
-def _mean_square(away: FloatArray) -> float:
-    """Mean square of distances in standard errors, each at most that of an outlier; NaN counts as one."""
+def mean_square(away: FloatArray) -> float:
+    """Mean square of distances in standard errors, shape (n,), each at most that of an outlier; NaN counts as one."""
     return float(np.minimum(np.nan_to_num(away * away, nan=_OUTLIER), _OUTLIER).mean())
 
 

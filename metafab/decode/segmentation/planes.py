@@ -24,7 +24,7 @@ from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import spline_peaks, standard_error
 
 #: Side of a cell, frame pixels.
-_CELL_PX = 36
+CELL_PX = 36
 _FEWEST_CELLS = 8
 #: Share of a segment's pixels away from the picture's rim from which its depth is measured on them alone.
 _LEAST_CLEAR = 0.2
@@ -40,7 +40,7 @@ _NEIGHBOURHOOD, _FEWEST_NEIGHBOURS = 2.5, 6
 #: RANSAC: distance of an inlier, in standard errors of the cell plus a share of the layers' separation.
 _INLIER_ERRORS, _INLIER_SHARE = 2.5, 0.15
 #: RANSAC: fewest inliers of a plane.
-_FEWEST_INLIERS = 10
+FEWEST_INLIERS = 10
 #: RANSAC: most planes.
 _MOST_PLANES = 8
 #: RANSAC: refits of a plane to its inliers.
@@ -94,7 +94,7 @@ class Plane:
         return np.broadcast_to(self.at(row.astype(np.float64), column.astype(np.float64)), shape)
 
 
-def cell_side(step: int, side_px: int = _CELL_PX) -> int:
+def cell_side(step: int, side_px: int = CELL_PX) -> int:
     """Side of a cell in downsampled pixels, for a downsampling step and a side in frame pixels."""
     return max(2, side_px // step)
 
@@ -115,7 +115,7 @@ class Cells:
     size: int  #: Pixels of ``whole``.
 
     @classmethod
-    def of(cls, volume: CostVolume, mask: NDArray[np.bool_], step: int, side_px: int = _CELL_PX) -> Cells:
+    def of(cls, volume: CostVolume, mask: NDArray[np.bool_], step: int, side_px: int = CELL_PX) -> Cells:
         """Cells of a mask that hold at least a quarter of a whole cell.
 
         The mask, shape (n_y, n_x), has downsampled pixels of ``step`` frame pixels; ``side_px`` is the side of a cell
@@ -125,7 +125,7 @@ class Cells:
 
     @classmethod
     def of_each(
-        cls, volume: CostVolume, label: NDArray[np.int32], count: int, step: int, side_px: int = _CELL_PX
+        cls, volume: CostVolume, label: NDArray[np.int32], count: int, step: int, side_px: int = CELL_PX
     ) -> list[Cells]:
         """Cells of each segment from 1 to ``count`` of ``label``, shape (n_y, n_x); see :meth:`of`."""
         row, column = np.nonzero(label)
@@ -354,9 +354,9 @@ def ransac_planes(
     near = np.hypot(cells.row[:, None] - cells.row, cells.column[:, None] - cells.column) <= _NEIGHBOURHOOD * side
     tolerance = _INLIER_ERRORS * cells.error_per_m + _INLIER_SHARE * separation_per_m
     planes: list[Plane] = []
-    while remaining.sum() >= _FEWEST_INLIERS and len(planes) < most:
+    while remaining.sum() >= FEWEST_INLIERS and len(planes) < most:
         inliers = _ransac_step(cells, remaining, near, tolerance, side)
-        if inliers.sum() < _FEWEST_INLIERS:
+        if inliers.sum() < FEWEST_INLIERS:
             break
         remaining = remaining & ~inliers
         plane = fit_plane(cells.chosen(inliers))

@@ -36,7 +36,7 @@ def test_stripes_of_one_surface_become_a_plane_and_what_stands_before_it_stays()
     everywhere = np.ones(SHAPE, dtype=bool)
     pixels = PixelDepth(picture, np.full(SHAPE, 2e-3), everywhere)
     cells, regions = Cells.of(volume, everywhere, 3), Regions(len(depths), depths, label, label, label)
-    planes = planes_across(cells, cell_side(3), volume, pixels, regions)
+    planes = planes_across(cells, cell_side(3), step, pixels, regions)
     assert len(depths) > 4
     assert len(planes) == 2
     assert np.abs(planes[0].over(SHAPE) - surface.over(SHAPE)).max() < 0.3 * step
