@@ -4,7 +4,8 @@ Where the contrast changes, a pixel on the wrong side changes the light of one i
 texture: the frame tells where the outline is to a part of a pixel. Where contrasts are alike, a texture that lies
 behind explains the light as well, and outlines stay (measured in ``benchmarks/decode/outline_information.py``). The
 misfit of the model of the frame is computed for outlines as they are and displaced by a downsampled pixel either way;
-pooled along the outline, it is a parabola of the displacement, with its least value where the outline is.
+pooled along the outline, it is a parabola of the displacement, with its least value where the outline is. A normal
+prior of the place within a downsampled pixel holds outlines of which the frame tells little.
 """
 
 from __future__ import annotations
@@ -28,8 +29,11 @@ _REACH = 3.0
 #: Least distance from the dark, frame pixels: the model's mean light of a layer is that of a window of 21 px, in which
 #: light and dark would be mixed.
 _LIT_PX = 21
-#: Least fall of the misfit for which an outline is displaced: one standard deviation of its place.
-_LEAST_GAIN = 1.0
+#: Least fall of the misfit for which an outline is displaced: two standard deviations of its place.
+_LEAST_GAIN = 4.0
+#: Prior variance of an outline's place between downsampled pixels, squared downsampled pixels: it may lie anywhere
+#: within one.
+_PLACE_VARIANCE = 1.0 / 12.0
 
 
 def outlines_by_frame(regions: Regions, prepared: PreparedFrame, optics: LayerOptics, step: int) -> Regions:
@@ -72,9 +76,10 @@ def _smoothed(beyond: NDArray[np.float32]) -> NDArray[np.float32]:
 def _least(misfits: NDArray[np.float32], step: int) -> NDArray[np.float32]:
     """Displacement, frame pixels, of the least of a parabola through three misfits (3, n_y, n_x): shape (n_y, n_x).
 
-    0 where the misfit does not fall clearly.
+    With the prior of the place; 0 where the sum does not fall clearly.
     """
-    slope, bend = 0.5 * (misfits[2] - misfits[0]), misfits[0] + misfits[2] - 2.0 * misfits[1]
+    slope = 0.5 * (misfits[2] - misfits[0])
+    bend = misfits[0] + misfits[2] - 2.0 * misfits[1] + np.float32(2.0 / _PLACE_VARIANCE)
     # Without a least value between them, it is one of the outer two.
     inner = bend > np.abs(slope)
     place = np.where(inner, -slope / np.where(inner, bend, 1.0), -np.sign(slope))

@@ -168,7 +168,9 @@ class FrameModel:
     ) -> NDArray[np.float32] | None:
         """Misfits of pixels and the light about them if nearer segments reach farther out: (n_by, n_y, n_x).
 
-        In variances of the frame's noise, summed under a Gaussian of unit height.
+        In variances of the frame's noise, or of what is left with the best displacement where that is larger, summed
+        under a Gaussian of unit height. Of the small lens' frames 10 to 22 times the noise is left along outlines:
+        differences of a few variances of the noise are chance there.
 
         Args:
             beyond_px: shape (n_y, n_x), distance of each pixel from the nearest outline, frame pixels, positive in the
@@ -200,7 +202,10 @@ class FrameModel:
                 for one, to in zip(of_group, found, strict=True):
                     layers.write_cores(group, one, to)
         deviation = _DISPLACED_PX / step
-        return gaussian_filter(found, (0.0, deviation, deviation)) * np.float32(2.0 * np.pi * deviation**2)
+        mean = gaussian_filter(found, (0.0, deviation, deviation))
+        # A pixel has a value in each of both images.
+        left = np.maximum(np.float32(1.0), np.float32(0.5) * mean.min(axis=0))
+        return np.asarray(mean / left * np.float32(2.0 * np.pi * deviation**2))
 
     @cached_property
     def _layers(self) -> FrameLayers | None:

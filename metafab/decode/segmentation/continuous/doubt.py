@@ -5,10 +5,10 @@ reaches across it, in what another depth would cost, in how dim the place is bes
 its texture, and in the share of noise. No model of layers tells which side of an outline a pixel lies on, so that these
 pixels are doubted as a whole. The weights were fitted by maximum likelihood to the pixels of 13 frames, each with the
 same weight: the Middlebury motorcycle with depths from its disparity at 3000 and 500 electrons, and mirrored with
-others; ten pictures of hills, rooms, leaves and steps with other textures, two of them with a small lens. When a picture
-is left out of the fit, 0.1 to 4 % of its pixels with a probability above 0.9 are wrong, of a photograph on many steps
-13 %, and of the motorcycle with 500 electrons 11 %; 3.5 to 5.6 % are stated. The odds of a wrong depth are a third
-higher than fitted.
+others; ten pictures of hills, rooms, leaves and steps with other textures, two of them with a small lens. When a
+picture is left out of the fit, 0.1 to 4 % of its pixels with a probability above 0.9 are wrong, of a photograph on many
+steps 13 %, and of the motorcycle with 500 electrons 11 %; 3.5 to 5.6 % are stated. The odds of a wrong depth are a
+third higher than fitted.
 """
 
 from __future__ import annotations

@@ -104,10 +104,31 @@ def test_contrasts_differ_only_where_they_are_known(
 
 
 def test_the_least_misfit_is_that_of_a_parabola() -> None:
-    """Between the displacements where it lies there, at the end where it lies beyond, 0 where it falls by little."""
+    """Between the displacements where it lies there, at the end where it lies beyond, 0 where it falls by little.
+
+    The prior is 12 in the square of the displacement: with a misfit of 40, the least is at 40/52 of its place.
+    """
     at = np.array([-1.0, 0.0, 1.0])[:, None, None]
-    for place, factor, expected in ((0.4, 40.0, 0.4), (1.7, 40.0, 1.0), (-0.4, 4.0, 0.0), (-0.6, 40.0, -0.6)):
+    for place, factor, expected in ((0.4, 40.0, 16 / 52), (1.7, 40.0, 1.0), (-0.4, 4.0, 0.0), (-0.6, 40.0, -24 / 52)):
         misfits = (factor * (at - place) ** 2).astype(np.float32)
         np.testing.assert_allclose(frame_outlines._least(misfits, 3), 3.0 * expected, rtol=1e-4)
-    falling = np.array([2.0, 1.5, -6.0], dtype=np.float32)[:, None, None]
+    falling = np.array([20.0, 15.0, -60.0], dtype=np.float32)[:, None, None]
     np.testing.assert_allclose(frame_outlines._least(falling, 2), 2.0)
+
+
+def test_where_the_model_leaves_much_its_misfits_count_less(
+    unlike: tuple[DecodedFrame, LayerOptics, NDArray[np.bool_]],
+) -> None:
+    """An outline 12 px too far out leaves many variances of the noise: with any displacement they are the unit."""
+    frame, optics, own = unlike
+    regions, step = labelled(frame, own, 12), frame.prepared.downsampling.step
+    across = (3 - regions.grown).astype(np.int32)
+    everywhere = np.ones(across.shape, dtype=bool)
+    inside = np.full(across.shape, 30.0, dtype=np.float32)
+    found = FrameModel(frame.prepared, regions, optics).displaced_misfits(inside, across, (-1.0, 0.0, 1.0), everywhere)
+    assert found is not None
+    # Two values of each pixel, summed under a Gaussian of a standard deviation of 4 frame pixels.
+    most = 2.0 * 2.0 * np.pi * (4.0 / step) ** 2
+    least = found.min(axis=0)
+    assert (least <= 1.001 * most).all()
+    assert (least >= 0.999 * most).mean() > 0.02
