@@ -107,17 +107,15 @@ def track(
     right = None if earlier is None or later is None else earlier.copy()
     if right is not None and later is not None:
         right[part][affected] = later[inside][affected]
-    surface = last.surface_per_m
-    if surface is not None:
+    surface = None
+    if last.continuous or current.continuous:
+        # The probabilities of a continuous surface are those of its own depths, not of the planes across it.
+        surface = last.vergence_per_m(last.grown) if last.surface_per_m is None else last.surface_per_m.copy()
         new = current.vergence_per_m(current.grown)[inside]
-        surface = surface.copy()
         surface[part] = np.where(affected & np.isfinite(new), new, surface[part])
-    beyond = None if last.beyond_px is None else last.beyond_px.copy()
-    if beyond is not None:
-        beyond[part][affected] = 0.0
     label, interior, grown = labels
     tracked = tuple(one for one in depths if one is not None)
-    regions = Regions(last.layers, tracked, label, interior, grown, right, surface, beyond)
+    regions = Regions(last.layers, tracked, label, interior, grown, right, surface)
     return TrackedRegions(regions, np.append(0, np.where(stays, renumbered[1 : count + 1], 0)).astype(np.int32))
 
 

@@ -206,13 +206,13 @@ def test_a_narrow_segment_measured_again_keeps_the_factor_of_a_straight_outline(
     assert error(replace(depth, error_factor=2.0)) == pytest.approx(factor * error(depth))
 
 
-def test_displaced_outlines_stay_where_nothing_changed() -> None:
-    """Pixels that are segmented anew have their outlines at the edges of downsampled pixels."""
-    last = replace(regions(street(), ROAD, Plane(3.0), Plane(2.5)), beyond_px=np.ones(SHAPE, dtype=np.float32))
-    current = regions(street(), ROAD, Plane(3.0), Plane(2.5)).within(*ABOUT)
-    tracked = track(last, current, PART, ABOUT, ALL, STEP_PER_M).regions
-    assert tracked.beyond_px is not None
-    expected = np.ones(SHAPE)
-    expected[PART] = 0.0
-    np.testing.assert_array_equal(tracked.beyond_px, expected)
-    np.testing.assert_array_equal(tracked.within(*PART).beyond_px, np.zeros(expected[PART].shape))
+def test_a_part_on_a_continuous_surface_takes_its_depths_and_all_else_keeps_its_planes() -> None:
+    last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
+    planes = last.vergence_per_m(last.grown)
+    current = replace(last.within(*ABOUT), surface_per_m=(planes + 0.05)[ABOUT], right=np.full(SHAPE, 0.6)[ABOUT])
+    tracked = track(replace(last, right=np.ones(SHAPE)), current, PART, ABOUT, ALL, STEP_PER_M).regions
+    assert tracked.continuous and tracked.right is not None
+    expected = planes.copy()
+    expected[PART] += 0.05
+    np.testing.assert_allclose(tracked.vergence_per_m(tracked.grown), np.where(tracked.grown > 0, expected, np.nan))
+    assert (tracked.right[PART][ALL] == 0.6).all()
