@@ -41,8 +41,11 @@ _ONE_DEPTH_ERRORS, _ONE_DEPTH = 2.5, 1.5e-3
 #: Ratio of misfits below which finer layers replace coarser ones, or planes.
 _CLEARLY_BETTER = 0.93
 #: Misfit of pixels' depths to planes fitted to their segments from which segments are sought on continuous surfaces:
-#: scenes of flat objects and photographs on them have 1.0 to 2.4, a steep ground 3.1, the Middlebury motorcycle 6.
+#: scenes of flat objects and photographs on them have 1.0 to 2.4, the Middlebury motorcycle 6.
 _UNFIT = 2.6
+#: That misfit where one depth for each segment has this many times as much: segments are stripes of a steep surface. A
+#: steep ground has 2.5, and 1.8 times as much; scenes of flat objects whose factor is above 1.5 have at most 2.0.
+_UNFIT_STRIPES, _STRIPES = 2.2, 1.5
 #: Share of segments' pixels within their interiors below which surfaces are sought, too: near outlines depths mix, and
 #: layers that are mostly outlines explain nothing. Scenes of flat objects have 0.59 to 1, a corner of steep walls 0.31,
 #: three photographs on many steps of depth 0.21 to 0.26.
@@ -133,8 +136,10 @@ def first_segments(
     if inside.size > _MOST_SURFACE_PIXELS:
         return regions
     layered = _has_layers(regions, prepared, volume, inside, clean)
-    if layered and plane_misfit(regions, pixels, inside, _TILTED) < _UNFIT:
-        return regions
+    if layered:
+        moved, tilted = (plane_misfit(regions, pixels, inside, free) for free in (_MOVED, _TILTED))
+        if tilted < (_UNFIT_STRIPES if moved > _STRIPES * tilted else _UNFIT):
+            return regions
     found = segmentation.of_surfaces(None if layered else regions)
     if found is None:
         return regions
