@@ -142,8 +142,9 @@ class Lens:
         directions = (window.tangent_x, window.tangent_y)
         channel = self._channel(polarisation)
         found = surfaces(picture, *directions, self.kernels.psf.depth_m, self._shifts(window), channel)
-        image = picture_image(found, self.blurs.over_depths(polarisation), window)
-        light[: image.shape[0], : image.shape[1]] += image
+        if found:
+            image = picture_image(found, self.blurs.over_depths(polarisation), window)
+            light[: image.shape[0], : image.shape[1]] += image
 
     def _shifts(self, window: Window) -> FloatArray:
         pair = self.kernels.relative_to or self.kernels.psf

@@ -100,7 +100,9 @@ def surfaces(
     shifts_px_m: FloatArray,
     polarisation: int,
 ) -> list[Surface]:
-    """The surfaces that the aperture sees: that of the picture, and its continuation behind outlines.
+    """Return the surfaces that the aperture sees: that of the picture, and its continuation behind outlines.
+
+    None where no depth is known.
 
     Args:
         tangent_x: shape (n_y, n_x), x/z of the grid's directions; likewise ``tangent_y``.

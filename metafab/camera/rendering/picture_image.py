@@ -19,13 +19,18 @@ def picture_image(surfaces: Sequence[Surface], blur: DepthBlur, window: Window) 
     sum differs from 1 at an outline, because each depth has its own blur. The difference, times the mean light of the
     farther surface, is added, as for objects (:class:`metafab.camera.rendering.lens.Lens`).
 
+    Args:
+        surfaces: at least one.
+        blur: of the image's polarisation.
+        window: place of the image on the sensor.
+
     Returns:
         Shape of the window plus that of a kernel, less 1; the window's pixel [0, 0] is at ``[k_y // 2, k_x // 2]``.
     """
     directions, flux = (window.tangent_x, window.tangent_y), window.gain * window.stop
-    light, share, vergence = (
-        np.stack([getattr(one, name) for one in surfaces]) for name in ("light", "share", "vergence_per_m")
-    )
+    light = np.stack([one.light for one in surfaces])
+    share = np.stack([one.share for one in surfaces])
+    vergence = np.stack([one.vergence_per_m for one in surfaces])
     image = blur(light * share * flux, vergence, *directions)
     if np.ptp(vergence) > 0.0:
         whole, at = light[0], vergence[0]

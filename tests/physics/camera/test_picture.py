@@ -87,6 +87,14 @@ def test_a_hole_is_dark_and_unknown(psf: Psf, tmp_path: Path) -> None:
     assert frame.frame.sum() / whole.frame.sum() == pytest.approx(0.5, abs=0.02)
 
 
+def test_a_picture_whose_known_depths_fall_between_the_pixels_is_dark(psf: Psf, tmp_path: Path) -> None:
+    depth_m = np.full((2 * SIDE, 2 * SIDE), np.nan)
+    depth_m[::2, ::2] = 0.003  # Pixels of the field take the depths of odd rows and columns.
+    frame = capture(picture(tmp_path, np.ones(depth_m.shape), depth_m), psf)
+    assert frame.truth is not None
+    assert not np.isfinite(frame.truth.depth_m).any() and (frame.frame == 0.0).all()
+
+
 def test_an_outline_hides_by_geometry_and_touching_depths_do_not(psf: Psf, tmp_path: Path) -> None:
     """Before a far wall, the light beside a near half and behind its outline is that of the objects."""
     depth_m = np.full((SIDE, SIDE), 0.0033)
