@@ -47,11 +47,7 @@ class FieldBlur:
         n_field_y, n_field_x, n_y, n_x = nodes.shape
         table = nodes.reshape(n_field_y * n_field_x, n_y * n_x).astype(np.float64)
         left, singular, right = np.linalg.svd(table, full_matrices=False)
-        energy = np.cumsum(singular**2)
-        count, veil_count = (
-            1 + int(np.searchsorted(energy, (1.0 - tolerance) * energy[-1]))
-            for tolerance in (BASIS_TOLERANCE, VEIL_TOLERANCE)
-        )
+        count, veil_count = (leading_count(singular**2, share) for share in (BASIS_TOLERANCE, VEIL_TOLERANCE))
         coefficients = (left[:, :count] * singular[:count]).reshape(n_field_y, n_field_x, count)
         basis = right[:count].reshape(count, n_y, n_x).copy()  # A view would keep all of ``right``.
         return cls(basis, coefficients, nodes.sum(axis=(-2, -1)), veil_count, kernels)
@@ -103,3 +99,9 @@ class FieldBlur:
             transfer = scipy.fft.fft(scipy.fft.rfft(kernel, fast[1]), fast[0], axis=0)
             total += scipy.fft.rfft2(images * coefficient, fast) * transfer
         return np.asarray(scipy.fft.irfft2(total, fast)[:, : full[0], : full[1]])
+
+
+def leading_count(energy: FloatArray, tolerance: float) -> int:
+    """Number of leading basis kernels that leave out at most a share ``tolerance`` of the energy, shape (n_basis,)."""
+    total = np.cumsum(energy)
+    return 1 + int(np.searchsorted(total, (1.0 - tolerance) * total[-1]))

@@ -15,7 +15,7 @@ import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.camera.kernels import PairKernels
-from metafab.camera.rendering.blur import BASIS_TOLERANCE, DARK, VEIL_TOLERANCE
+from metafab.camera.rendering.blur import BASIS_TOLERANCE, DARK, VEIL_TOLERANCE, leading_count
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.interpolation import LocalSplines
@@ -44,8 +44,7 @@ class DepthBlur:
         norm = np.linalg.norm(table, axis=1, keepdims=True)
         scaled = table / np.maximum(norm, np.float32(np.finfo(np.float32).tiny))
         basis = _leading_vectors(scaled)
-        energy = np.cumsum(((scaled @ basis.T) ** 2).sum(axis=0, dtype=np.float64))
-        veil_count = 1 + int(np.searchsorted(energy, (1.0 - VEIL_TOLERANCE) * energy[-1]))
+        veil_count = leading_count(((scaled @ basis.T) ** 2).sum(axis=0, dtype=np.float64), VEIL_TOLERANCE)
         values = (table @ basis.T).reshape(*nodes.shape[:3], -1).astype(np.float64)
         places = 1.0 / kernels.psf.depth_m, kernels.tangent_y, kernels.tangent_x
         axes = []

@@ -102,7 +102,7 @@ def surfaces(
 ) -> list[Surface]:
     """Return the surfaces that the aperture sees: that of the picture, and its continuation behind outlines.
 
-    None where no depth is known.
+    The list is empty where no depth is known.
 
     Args:
         tangent_x: shape (n_y, n_x), x/z of the grid's directions; likewise ``tangent_y``.
