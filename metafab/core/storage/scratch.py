@@ -12,8 +12,9 @@ from numpy.typing import DTypeLike, NDArray
 
 from metafab.core.errors import noted
 
-#: Largest scratch array that is held in memory, bytes.
-IN_MEMORY_BYTES = 1 << 28
+#: Largest scratch array that is held in memory, bytes: pages of a file are given back after each pass, and read again
+#: as fast.
+IN_MEMORY_BYTES = 1 << 25
 
 
 def scratch(shape: tuple[int, ...], dtype: DTypeLike, in_memory_bytes: int | None = None) -> NDArray[Any]:
