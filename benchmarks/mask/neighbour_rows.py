@@ -1,12 +1,15 @@
 """Most light that sizes can send into the wanted orders of a lens' rows, by a search with the model of neighbours.
 
     python -m benchmarks.mask.neighbour_rows DESIGN.toml [--rows 6] [--starts 16] [--limit-rad 0.03] [--seed 1]
+        [--resolution 3]
 
 Rows lie at random places of the lens and hold one turn or more of each polarisation's phase; each is closed to a
 period. In a closed row the light of any size at one site follows exactly from that site's block of the inverse of the
 row's matrix. Each site in turn takes the best of the sizes that suit lone pillars best there, until none moves.
 Searches start from the sizes for lone pillars, from random ones among the best, and from the best row found with new
-sizes at a few sites. The library lies beside the design's unit cell.
+sizes at a few sites. The library lies beside the design's unit cell. With ``--resolution`` the
+sizes for lone pillars and the best ones of each row are also solved by spectral elements of that resolution, half a
+minute or more a row: keys ``full wave``, with the largest phase of the best row's orders about their targets.
 """
 
 from __future__ import annotations
@@ -20,7 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab import library, phase
+from metafab.cell.elements import orders_at
+from metafab.cell.pillar import PillarCell
+from metafab.cell.supercell import Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
+from metafab.fullwave.written import site_cell
 from metafab.layout.assign import mapping_of
 from metafab.layout.mapping import TileMapping
 from metafab.library import Library
@@ -173,8 +180,29 @@ def _targets(mapping: TileMapping, count: int, seed: int) -> list[FloatArray]:
     return found
 
 
-def rows(design: Path, count: int, starts: int, limit_rad: float, seed: int) -> list[dict[str, float]]:
-    """Light of each row: promised by lone pillars, of their sizes among neighbours, by one search, and by all."""
+def full_wave(cell: PillarCell, size_nm: FloatArray, target: FloatArray, resolution: float) -> ComplexArray:
+    """Amplitudes of the wanted orders of a closed row by spectral elements, over their target waves, shape (2,).
+
+    ``size_nm`` has the shape (n, 2); ``target``, shape (2, n), changes by whole turns over the row.
+    """
+    row = Supercell(cell, size_nm[None])
+    order = row.propagating_orders("x")
+    t = orders_at(row, POLARISATIONS, resolution)
+    found = np.empty(2, dtype=np.complex128)
+    for axis, wave in enumerate(target):
+        wanted = row.local_period(order, np.exp(1j * wave)[None])
+        at = int(np.argmax(np.abs(wanted)))
+        found[axis] = t[at, axis, axis] / wanted[at]
+    return found
+
+
+def rows(
+    design: Path, count: int, starts: int, limit_rad: float, seed: int, resolution: float | None = None
+) -> list[dict[str, float]]:
+    """Light of each row: promised by lone pillars, of their sizes among neighbours, by one search, and by all.
+
+    ``resolution``: spectral elements that also solve the lone sizes and the best ones; None leaves this out.
+    """
     spec = load_design(design)
     known: Library = library.load(Path(spec.library).with_suffix(".h5"))
     mapping = mapping_of(phase.profile_of(spec), known, spec)
@@ -190,9 +218,13 @@ def rows(design: Path, count: int, starts: int, limit_rad: float, seed: int) -> 
         kept = (lone, row.ascended(lone)[0], row.searched(starts, seed)[0])
         sums = [np.array([each.sum for each in row.solve(sizes)]) / lone.size for sizes in kept]
         light = [float(row.light(mean)) for mean in (promised, *sums)]
-        table.append(
-            dict(zip(("promised", "lone sizes", "one search", "all"), light, strict=True)) | {"sites": lone.size}
-        )
+        figures = dict(zip(("promised", "lone sizes", "one search", "all"), light, strict=True))
+        if resolution is not None:
+            for name, sizes in (("lone sizes", lone), ("all", kept[-1])):
+                mean = full_wave(site_cell(known), size_nm[sizes], target, resolution)
+                figures[f"full wave, {name}"] = float(row.light(mean))
+            figures["full wave, largest phase / rad"] = float(np.abs(np.angle(mean)).max())
+        table.append(figures | {"sites": lone.size})
     return table
 
 
@@ -203,7 +235,8 @@ if __name__ == "__main__":
     parser.add_argument("--starts", type=int, default=16)
     parser.add_argument("--limit-rad", type=float, default=0.03)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--resolution", type=float, help="also solve rows by spectral elements of this resolution")
     asked = parser.parse_args()
-    found = rows(asked.design, asked.rows, asked.starts, asked.limit_rad, asked.seed)
+    found = rows(asked.design, asked.rows, asked.starts, asked.limit_rad, asked.seed, asked.resolution)
     for each in [*found, {name: float(np.mean([row[name] for row in found])) for name in found[0]}]:
         print(" ".join(f"{name} {value:.4g}" for name, value in each.items()))
