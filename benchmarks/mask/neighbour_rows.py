@@ -8,8 +8,9 @@ period. In a closed row the light of any size at one site follows exactly from t
 row's matrix. Each site in turn takes the best of the sizes that suit lone pillars best there, until none moves.
 Searches start from the sizes for lone pillars, from random ones among the best, and from the best row found with new
 sizes at a few sites. The library lies beside the design's unit cell. With ``--resolution`` the
-sizes for lone pillars and the best ones of each row are also solved by spectral elements of that resolution, half a
-minute or more a row: keys ``full wave``, with the largest phase of the best row's orders about their targets.
+sizes for lone pillars and the best ones of each row are also solved by spectral elements of that resolution: keys
+``full wave``, with the largest phase of the best row's orders about their targets. With 3 this takes from half a minute
+of processor time for 16 pillars to two for 24.
 """
 
 from __future__ import annotations
