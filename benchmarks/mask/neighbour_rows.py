@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab import library, phase
-from metafab.cell.elements import orders_at
+from metafab.cell.elements.solve import orders_at
 from metafab.cell.meep import SupercellSettings
 from metafab.cell.meep.supercell import solve_supercell
 from metafab.cell.pillar import PillarCell
