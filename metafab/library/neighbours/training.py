@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -29,6 +28,7 @@ from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.library.neighbours.rows import RESOLUTION, ROW_KINDS, RowSampler, is_steady, kind_of, solve_sampled
 from metafab.library.neighbours.solve import line_corrections, line_gains
 from metafab.library.sweep.checkpoint import Checkpoint
+from metafab.library.sweep.kept import Numbers, kept_results
 from metafab.spec import UnitCell
 
 #: Modes and polynomials of the chains, for light polarised along the row and across it. Guided bands that are folded at
@@ -78,9 +78,6 @@ _AT_ONCE = 32
 #: Number of rows that are solved again to measure the error of the rows, and the increase of their resolution.
 _CHECKED_ROWS, _FINER = 3, 1.0
 
-_Task = TypeVar("_Task")
-_Result = TypeVar("_Result")
-
 
 def inputs_of_training(unit_cell: UnitCell) -> str:
     """Fingerprint of a training's inputs: the library's, the table ``[neighbours]`` and the code."""
@@ -99,6 +96,11 @@ def inputs_of_rows(library: Library) -> str:
     return fingerprint([each.cell for each in samplers], drawn, ROW_KINDS, RESOLUTION, code)
 
 
+def inputs_of_fits(library: Library) -> str:
+    """Fingerprint of the fits of a training: its rows and how they are fitted."""
+    return fingerprint("fits", inputs_of_training(library.unit_cell), inputs_of_rows(library))
+
+
 def train(
     library: Library,
     *,
@@ -111,7 +113,8 @@ def train(
     Args:
         library: library whose unit cell has the table ``[neighbours]``.
         executor: solves the rows and runs the fits; None for this process.
-        checkpoint: file that keeps the solved rows; a call with equal :func:`inputs_of_rows` continues from it.
+        checkpoint: file that keeps the solved rows; a call with equal :func:`inputs_of_rows` continues from it. Solved
+            blocks, and until the training ends the fitted chains, stand beside it (``.blocks``, ``.fits``).
         progress: called with the number of solved rows, and with the number of fits.
 
     Raises:
@@ -121,25 +124,28 @@ def train(
         raise ValueError("the unit cell has no table `neighbours`")
     samplers, asked = _samplers(library), library.unit_cell.neighbours
     calls = executor or SerialExecutor()
+    of_fits = inputs_of_fits(library)
+    fits = Checkpoint(checkpoint and checkpoint.with_suffix(f".{of_fits[:8]}.fits"), of_fits)
     # One thread of linear algebra for all fits: the limit holds for the process, and the first thread of ours that ends
     # a fit would lift it for the others.
-    with Checkpoint(checkpoint, inputs_of_rows(library)) as record, one_blas_thread():
+    with Checkpoint(checkpoint, inputs_of_rows(library)) as record, fits, one_blas_thread():
         solved = solve_sampled(samplers, [range(asked.rows)] * len(samplers), record, calls, progress)
         plans = [_Plan.of(*both, asked.more_modes) for both in zip(samplers, solved, strict=True)]
-        models = _fitted(plans, calls, progress)
+        models = _fitted(plans, calls, fits, progress)
         unsure = [plan.unsure(model) for plan, model in zip(plans, models, strict=True)]
         more = solve_sampled(samplers, unsure, record, calls, progress)
         plans = [plan.with_rows(answers) for plan, answers in zip(plans, more, strict=True)]
-        lines = _called(calls, _refit, list(zip(plans, models, strict=True)), "fit to all rows", progress)
+        lines = _refitted(list(zip(plans, models, strict=True)), calls, progress)
     along = [line for line, sampler in zip(lines, samplers, strict=True) if sampler.polarisation == "x"]
     across = [line for line, sampler in zip(lines, samplers, strict=True) if sampler.polarisation == "y"]
     inputs = inputs_of_training(library.unit_cell)
     neighbours = Neighbours((along[0], along[-1]), (across[0], across[-1]), inputs)
-    if not asked.blocks:
-        return neighbours
-    of_blocks = checkpoint.with_suffix(".blocks") if checkpoint else None
-    with Checkpoint(of_blocks, inputs_of_blocks(library)) as record, one_blas_thread():
-        return couple(library, neighbours, asked.blocks, record, calls, progress)
+    if asked.blocks:
+        of_blocks = checkpoint.with_suffix(".blocks") if checkpoint else None
+        with Checkpoint(of_blocks, inputs_of_blocks(library)) as record, one_blas_thread():
+            neighbours = couple(library, neighbours, asked.blocks, record, calls, progress)
+    fits.remove()
+    return neighbours
 
 
 def _samplers(library: Library) -> list[RowSampler]:
@@ -187,12 +193,20 @@ class _Plan:
         """Modes and terms of the chain without more modes."""
         return SHAPES[POLARISATIONS.index(self.sampler.polarisation)]
 
+    @property
+    def start_shape(self) -> LineShape:
+        """Modes and terms of a start's last stage."""
+        return replace(self.shape, degree=min(self.shape.degree, _START_DEGREE))
+
+    def like(self, shape: LineShape, seed: int = 0) -> LineModel:
+        """A chain of some shape with random parameters."""
+        along, across = ((float(axis.min()), float(axis.max())) for axis in self.sampler.size_nm.T)
+        return initial_model(shape, along, across, seed)
+
     def start(self, seed: int) -> LineModel:
         """Fit from random parameters, in stages of more modes and more rows."""
-        along, across = ((float(axis.min()), float(axis.max())) for axis in self.sampler.size_nm.T)
-        last = replace(self.shape, degree=min(self.shape.degree, _START_DEGREE))
-        fewest = 1 - len(self.stages)
-        model = initial_model(last.with_more(fewest), along, across, seed)
+        last, fewest = self.start_shape, 1 - len(self.stages)
+        model = self.like(last.with_more(fewest), seed)
         for stage, sets in enumerate(self.stages):
             model = grown(model, last.with_more(fewest + stage), seed + STARTS * stage)
             model = fit(model, sets, self.limits(_STAGE_STEPS))
@@ -231,24 +245,36 @@ class _Plan:
         return TrainedLine(model, _measured(self, model))
 
 
-def _fitted(plans: Sequence[_Plan], calls: Executor, progress: Progress) -> list[LineModel]:
-    """Fit the chains; the executor runs the starts of all chains, then their last fits."""
+def _fitted(plans: Sequence[_Plan], calls: Executor, fits: Checkpoint, progress: Progress) -> list[LineModel]:
+    """Fit the chains, but those that ``fits`` holds; the executor runs the starts of all chains, then their ends."""
+
+    def started(task: tuple[_Plan, int], vector: Numbers) -> LineModel:
+        return task[0].like(task[0].start_shape).with_vector(np.array(vector))
+
+    def finished(task: tuple[_Plan, list[LineModel]], vector: Numbers) -> LineModel:
+        plan = task[0]
+        return plan.like(plan.shape.with_more(plan.more_modes)).with_vector(np.array(vector))
+
     tasks = [(plan, seed) for plan in plans for seed in range(STARTS)]
-    starts = _called(calls, _start, tasks, "first fits of the chains", progress)
+    step = "first fits of the chains"
+    starts = kept_results(calls, _start, tasks, fits, 0, _parameters, started, step, progress)
     ends = [(plan, starts[k * STARTS : (k + 1) * STARTS]) for k, plan in enumerate(plans)]
-    return _called(calls, _finish, ends, "last fits of the chains", progress)
+    step = "last fits of the chains"
+    return kept_results(calls, _finish, ends, fits, len(tasks), _parameters, finished, step, progress)
 
 
-def _called(
-    calls: Executor, function: Callable[[_Task], _Result], tasks: Sequence[_Task], step: str, progress: Progress
-) -> list[_Result]:
-    """Results of all tasks by the executor, in order; ``step`` names them to ``progress``."""
-    results: list[_Result] = []
-    progress(step, 0, len(tasks))
-    for result in in_order(calls, function, tasks, ahead=1 if isinstance(calls, SerialExecutor) else len(tasks)):
-        results.append(result)
-        progress(step, len(results), len(tasks))
-    return results
+def _parameters(model: LineModel) -> Numbers:
+    return tuple(model.vector.tolist())
+
+
+def _refitted(tasks: Sequence[tuple[_Plan, LineModel]], calls: Executor, progress: Progress) -> list[TrainedLine]:
+    """Fit chains to all rows and measure them."""
+    lines: list[TrainedLine] = []
+    progress("fit to all rows", 0, len(tasks))
+    for line in in_order(calls, _refit, tasks, ahead=1 if isinstance(calls, SerialExecutor) else len(tasks)):
+        lines.append(line)
+        progress("fit to all rows", len(lines), len(tasks))
+    return lines
 
 
 # One thread, so that the parameters do not depend on the number of cores.

@@ -100,6 +100,39 @@ def test_training_restarts_and_is_stored(asked: Library, tmp_path: Path, monkeyp
 
 
 @pytest.mark.usefixtures("coarse")
+def test_a_stopped_training_keeps_its_fits(
+    asked: Library, solved_rows: Path, trained: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoint = tmp_path / "rows"
+    checkpoint.write_bytes(solved_rows.read_bytes())
+    begun: list[int] = []
+    start, finish = training._start, training._finish
+
+    def counted(task: object) -> LineModel:
+        begun.append(1)
+        return start(task)  # type: ignore[arg-type]
+
+    def stopped(task: object) -> LineModel:
+        if len(list(tmp_path.glob("*.fits"))) == 1 and not stops:
+            stops.append(1)
+            raise KeyboardInterrupt
+        return finish(task)  # type: ignore[arg-type]
+
+    stops: list[int] = []
+    monkeypatch.setattr(training, "_start", counted)
+    monkeypatch.setattr(training, "_finish", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        training.train(asked, checkpoint=checkpoint)
+    assert len(begun) == 2
+    model = training.train(asked, checkpoint=checkpoint)
+    assert len(begun) == 2
+    assert not list(tmp_path.glob("*.fits"))
+    assert trained.neighbours is not None
+    for one, other in zip(model.lines, trained.neighbours.lines, strict=True):
+        np.testing.assert_array_equal(one.model.vector, other.model.vector)
+
+
+@pytest.mark.usefixtures("coarse")
 def test_the_best_start_is_fitted_to_all_rows(
     asked: Library, solved_rows: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
