@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import math
@@ -153,28 +154,37 @@ def test_debug_shows_the_traceback_before_the_message(
     assert "\nmetafab: " in said
 
 
+def _refuse_to_write(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """Exit code of the program with ``arguments``, ``new`` among them, on a disk that refuses the design."""
+
+    def write_new(name: str, kind: str, folder: Path, *further: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder / name))
+
+    monkeypatch.setattr("metafab.spec.write_new", write_new)
+    monkeypatch.setattr(sys, "argv", ["metafab", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        entry.main()
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
 def test_a_failure_names_the_work_the_file_and_the_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    taken = tmp_path / "taken"
-    taken.write_text("a file")
-    monkeypatch.setattr(sys, "argv", ["metafab", "new", "lens", "--kind", "metalens", "-o", str(taken)])
-    with pytest.raises(SystemExit) as ended:
-        entry.main()
+    assert _refuse_to_write(monkeypatch, "new", "lens", "--kind", "metalens", "-o", str(tmp_path)) == 1
     said = capsys.readouterr().err
-    assert ended.value.code == 1
     assert len(said.strip().splitlines()) == 1
-    for part in ("FileExistsError", str(taken), "`metafab new`", "name another path with `-o`"):
+    for part in ("OSError", str(tmp_path / "lens"), "`metafab new`", "free space on the disk"):
         assert part in said
 
 
-def test_debug_is_an_option_of_the_program(tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("a file")
-    call = ["new", "lens", "--kind", "metalens", "-o", str(tmp_path / "taken")]
-    for options, begins in (([], "metafab: FileExistsError"), (["--debug"], "Traceback")):
-        answer = metafab(*options, *call, cwd=tmp_path)
-        assert answer.code == 1
-        assert answer.stderr.startswith(begins)
+@pytest.mark.parametrize(("options", "begins"), [([], "metafab: OSError"), (["--debug"], "Traceback")])
+def test_debug_is_an_option_of_the_program(
+    options: list[str], begins: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("METAFAB_DEBUG", "")  # restored after the option has set it
+    assert _refuse_to_write(monkeypatch, *options, "new", "lens", "--kind", "metalens", "-o", str(tmp_path)) == 1
+    assert capsys.readouterr().err.startswith(begins)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metafab.cli.again import pages
-from metafab.cli.app import Cluster, DesignFile, Json, Output, Workers, app, open_job
+from metafab.cli.app import Cluster, DesignFile, Json, OutputFolder, Workers, app, open_job
 from metafab.cli.console import announce, coverage_warning, exit_on_violations, open_work, show
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def new_command(
 @app.command("run")
 def run_command(
     design: DesignFile,
-    output: Output = None,
+    output: OutputFolder = None,
     workers: Workers = None,
     cluster: Cluster = None,
     skip: Annotated[
@@ -230,7 +230,7 @@ def _library_error(library: LibraryFigures, layout: LayoutFigures | None) -> dic
 @app.command("stokes")
 def stokes_command(
     design: DesignFile,
-    output: Output = None,
+    output: OutputFolder = None,
     row_angle_deg: Annotated[
         float | None,
         typer.Option(min=0.5, max=40.0, help="Angle between rows of images, degrees [default: the split angle]."),

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from metafab.cli.app import DesignFile, Json, Output, app, open_job, require_finite, require_positive
+from metafab.cli.app import DesignFile, Json, Output, OutputFolder, app, open_job, require_finite, require_positive
 from metafab.cli.console import open_work, show
 from metafab.core.errors import InputError
 
@@ -65,7 +65,7 @@ def propose_command(
 @app.command("compare")
 def compare_command(
     design: DesignFile,
-    output: Output = None,
+    output: OutputFolder = None,
     planes: Annotated[int, typer.Option(min=1, max=1000, metavar="N", help="Photographs at each depth.")] = 6,
     contrast: Annotated[float, typer.Option(min=0.01, max=1.0, help="Contrast of the texture, rms over mean.")] = 0.25,
     json_: Json = False,
