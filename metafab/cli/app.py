@@ -53,7 +53,7 @@ class _Command(TyperCommand):
         if isinstance(output, Path) and source.name == "COMMANDLINE":
             from metafab.core.storage import files
 
-            kind = next(each.metavar for each in self.params if each.name == "output")
+            kind = next((each.metavar for each in self.params if each.name == "output"), None) or ""
             checks = {"FILE": files.require_file_output, "DIR": files.require_folder_output}
             checks.get(kind, files.require_output)(output, read)
         with noted(f"`{' '.join([_called(ctx), *map(str, read)])}`"):

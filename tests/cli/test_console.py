@@ -27,6 +27,7 @@ from metafab.core.errors import InputError, MetafabError, MissingToolError, Solv
 from metafab.core.parallel.progress import silent
 from metafab.steps import RunSummary
 from metafab.steps.exposure import PrintedFigures
+from metafab.steps.summary import UNCHANGED, SkippedStep
 from tests.closed_form_run import run_summary
 from tests.conftest import MainJob
 from tests.main_job import SMALL, metafab
@@ -255,6 +256,18 @@ def test_a_run_is_told_in_a_dozen_lines_and_names_its_report(tmp_path: Path) -> 
     assert "library error" not in headlines(unstated, tmp_path)
     unprinted = replace(summary, exposure=PrintedFigures(math.nan, math.nan, 7213, 1e-4))
     assert headlines(unprinted, tmp_path)["printed sizes"] == "no pillar prints with one dose"
+
+
+def test_a_run_that_skips_steps_says_so_and_counts_only_its_own_time(tmp_path: Path) -> None:
+    summary = replace(run_summary(), skipped=())
+    assert "skipped" not in headlines(summary, tmp_path)
+    step, seconds = next(iter(summary.seconds.items()))
+    unneeded = SkippedStep("lights", "the design serves one wavelength")
+    lines = headlines(replace(summary, skipped=(SkippedStep(step, UNCHANGED, seconds), unneeded)), tmp_path)
+    assert lines["skipped"] == f"1 of the steps, unchanged, which took {seconds:.3g} s when they ran"
+    assert lines["time"].startswith(f"{sum(summary.seconds.values()) - seconds:.3g} s")
+    every = tuple(SkippedStep(step, UNCHANGED, seconds) for step, seconds in summary.seconds.items())
+    assert headlines(replace(summary, skipped=every), tmp_path)["time"].startswith("0 s")
 
 
 def test_only_a_lobe_that_turns_has_a_rotation(main_job: MainJob, tmp_path: Path) -> None:

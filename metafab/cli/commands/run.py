@@ -215,8 +215,19 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
         lines["rotation"] = f"{summary.merit.rotation_deg:.1f} degrees over the depths"
     if summary.decode is not None and summary.decode.nmae is not None:
         lines["depth error"] = f"{100.0 * summary.decode.nmae:.2g} % mean"
-    lines["time"] = f"{sum(summary.seconds.values()):.3g} s in all steps"
-    return lines | pages(folder)
+    return lines | _times(summary) | pages(folder)
+
+
+def _times(summary: RunSummary) -> dict[str, str]:
+    """Time of the steps that ran, and of those that were skipped because nothing had changed, when they ran last."""
+    from metafab.steps.summary import UNCHANGED
+
+    saved_s = [entry.saved_s or 0.0 for entry in summary.skipped if entry.why == UNCHANGED]
+    spent_s = sum(summary.seconds.values()) - sum(saved_s)
+    lines = {"time": f"{max(spent_s, 0.0):.3g} s in all steps that ran"}
+    if saved_s:
+        lines["skipped"] = f"{len(saved_s)} of the steps, unchanged, which took {sum(saved_s):.3g} s when they ran"
+    return lines
 
 
 def _library_error(library: LibraryFigures, layout: LayoutFigures | None) -> dict[str, str]:
