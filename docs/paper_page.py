@@ -106,7 +106,7 @@ def rows(
             "reconstruction, 500 x 1000 pixels",
             "below 0.4 s (i7-10875H)",
             f"{seconds:.2f} s of processor time (480 x 960, best of {REPEATS})",
-            "agrees: faster ([](../benchmarks.md))",
+            "agrees: faster ([](../benchmarks/decoder.md))",
         ),
     ]
     if "helix_outdoor" in found:

@@ -1,17 +1,22 @@
 """Most light that sizes can send into the wanted orders of a lens' rows, by a search with the model of neighbours.
 
     python -m benchmarks.mask.neighbour_rows DESIGN.toml [--rows 6] [--starts 16] [--limit-rad 0.03] [--seed 1]
+        [--rcwa] [--meep 16 24]
 
 Rows lie at random places of the lens and hold one turn or more of each polarisation's phase; each is closed to a
 period. In a closed row the light of any size at one site follows exactly from that site's block of the inverse of the
 row's matrix. Each site in turn takes the best of the sizes that suit lone pillars best there, until none moves.
 Searches start from the sizes for lone pillars, from random ones among the best, and from the best row found with new
 sizes at a few sites. The library lies beside the design's unit cell.
+
+``--rcwa`` and ``--meep`` judge the best row by full wave: light of both orders, and the larger phase of the two about
+its target. The coupling of neighbours by Meep, whose grid errs alike for lone pillars, is added to the library's field.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +25,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab import library, phase
+from metafab.cell.elements.solve import supercell_orders
+from metafab.cell.meep import SupercellSettings
+from metafab.cell.meep.supercell import solve_supercell
+from metafab.cell.supercell import Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
+from metafab.fullwave.blocks import lone_orders
+from metafab.fullwave.written import site_cell
 from metafab.layout.assign import mapping_of
 from metafab.layout.mapping import TileMapping
 from metafab.library import Library
@@ -31,11 +42,20 @@ from metafab.library.use.amplitudes import power_ratio_of
 from metafab.spec import load_design
 
 Sizes = NDArray[np.intp]
+IntArray = NDArray[np.intp]
 
 #: Sizes tried at each site; sites per row, and how far its phases may be from whole turns, in turns.
 _TRIED, _SITES, _FROM_WHOLE = 800, (13, 25), 0.2
 #: Loss of light per squared rad that a phase is beyond its limit.
 _PHASE_PRICE = 20.0
+
+
+@dataclass(frozen=True)
+class Judges:
+    """Full-wave solvers of the best rows."""
+
+    rcwa: bool = False  #: By spectral elements.
+    meep_pixels: tuple[int, ...] = ()  #: By Meep, pixels a period of each grid.
 
 
 class _Solved(NamedTuple):
@@ -100,10 +120,16 @@ class _Light:
 class _Row:
     """A closed row of a lens."""
 
+    target_rad: FloatArray  #: Shape (2, n).
+    turns: IntArray  #: Shape (2,), turns of the target: the wanted order of each polarisation.
     lights: tuple[_Light, _Light]
-    weight: ComplexArray  #: Shape (2, n), exp(-i target).
     limit_rad: float  #: Largest phase of an order.
     ratio: float  #: Power over squared amplitude.
+
+    @property
+    def weight(self) -> ComplexArray:
+        """Conjugate of the target wave, shape (2, n)."""
+        return np.asarray(np.exp(-1j * self.target_rad))
 
     @property
     def lone(self) -> FloatArray:
@@ -154,10 +180,10 @@ class _Row:
         return best
 
 
-def _targets(mapping: TileMapping, count: int, seed: int) -> list[FloatArray]:
-    """Target phases of closed rows at random places, shape (2, n) each."""
+def _targets(mapping: TileMapping, count: int, seed: int) -> list[tuple[FloatArray, IntArray]]:
+    """Target phases of closed rows at random places, shape (2, n) each, and their whole turns, shape (2,)."""
     rng, lattice = np.random.default_rng(seed), mapping.aperture.lattice
-    found: list[FloatArray] = []
+    found: list[tuple[FloatArray, IntArray]] = []
     x_um, y_um = lattice.x_um(), lattice.y_um()
     while len(found) < count:
         row, column = rng.integers(np.array(lattice.shape) - [0, _SITES[1]]).tolist()
@@ -169,12 +195,41 @@ def _targets(mapping: TileMapping, count: int, seed: int) -> list[FloatArray]:
         turns = np.rint(sites * turn)
         if np.abs(sites * turn - turns).max() < _FROM_WHOLE and turns.all():
             first = target[:, :1] + np.reshape(mapping.offset_rad, (2, 1))
-            found.append(first + 2.0 * np.pi * turns[:, None] / sites * np.arange(sites))
+            found.append((first + 2.0 * np.pi * turns[:, None] / sites * np.arange(sites), turns.astype(np.intp)))
     return found
 
 
-def rows(design: Path, count: int, starts: int, limit_rad: float, seed: int) -> list[dict[str, float]]:
-    """Light of each row: promised by lone pillars, of their sizes among neighbours, by one search, and by all."""
+def _by_full_wave(row: _Row, size_nm: FloatArray, known: Library, judges: Judges) -> dict[str, float]:
+    """Light of both orders of a closed row, and their larger phase about the target, by each judge.
+
+    ``size_nm`` are the row's pillars, shape (n, 2).
+    """
+    supercell = Supercell(site_cell(known), size_nm[None])
+    orders: dict[str, tuple[IntArray, ComplexArray]] = {}
+    if judges.rcwa:
+        solved = supercell_orders(supercell)
+        orders["rcwa"] = solved.order, np.stack([solved.t[:, axis, axis] for axis in range(2)])
+    for pixels in judges.meep_pixels:
+        parts = [solve_supercell(supercell, light, SupercellSettings(pixels)) for light in POLARISATIONS]
+        lone = lone_orders(supercell, known)
+        coupling = np.stack([part.co_polarised - part.local_period for part in parts])
+        in_library = np.stack([lone.t[:, axis, axis] for axis in range(2)])
+        orders[f"meep {pixels}"] = parts[0].order, in_library + coupling
+    found = {}
+    for judge, (order, amplitude) in orders.items():
+        at = [int(np.flatnonzero((order == (turns, 0)).all(axis=1))[0]) for turns in row.turns]
+        mean = amplitude[range(2), at] * np.exp(-1j * row.target_rad.mean(axis=1))  # orders count from the middle
+        found[judge], found[f"{judge} rad"] = float(row.light(mean)), float(np.abs(np.angle(mean)).max())
+    return found
+
+
+def rows(
+    design: Path, count: int, starts: int, limit_rad: float, seed: int, judges: Judges = Judges()
+) -> Iterator[dict[str, float]]:
+    """Light of each row: promised by lone pillars, of their sizes among neighbours, by one search, and by all.
+
+    The last is judged by full wave, too, if asked.
+    """
     spec = load_design(design)
     known: Library = library.load(Path(spec.library).with_suffix(".h5"))
     mapping = mapping_of(phase.profile_of(spec), known, spec)
@@ -182,18 +237,15 @@ def rows(design: Path, count: int, starts: int, limit_rad: float, seed: int) -> 
     t = mapping.table.t[1:]
     models = [require_neighbours(known).line(0, light).model for light in POLARISATIONS]
     lights = _Light.of(models[0], size_nm, t[:, 0]), _Light.of(models[1], size_nm, t[:, 1])
-    table = []
-    for target in _targets(mapping, count, seed):
-        row = _Row(lights, np.exp(-1j * target), limit_rad, float(np.mean(power_ratio_of(known))))
+    for target, turns in _targets(mapping, count, seed):
+        row = _Row(target, turns, lights, limit_rad, float(np.mean(power_ratio_of(known))))
         lone = row.lone.argmax(axis=1)
         promised = np.mean(row.weight * t[lone].T, axis=1)
         kept = (lone, row.ascended(lone)[0], row.searched(starts, seed)[0])
         sums = [np.array([each.sum for each in row.solve(sizes)]) / lone.size for sizes in kept]
         light = [float(row.light(mean)) for mean in (promised, *sums)]
-        table.append(
-            dict(zip(("promised", "lone sizes", "one search", "all"), light, strict=True)) | {"sites": lone.size}
-        )
-    return table
+        of_model = dict(zip(("promised", "lone sizes", "one search", "all"), light, strict=True))
+        yield of_model | _by_full_wave(row, size_nm[kept[-1]], known, judges) | {"sites": lone.size}
 
 
 if __name__ == "__main__":
@@ -203,7 +255,13 @@ if __name__ == "__main__":
     parser.add_argument("--starts", type=int, default=16)
     parser.add_argument("--limit-rad", type=float, default=0.03)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rcwa", action="store_true")
+    parser.add_argument("--meep", type=int, nargs="+", default=[], metavar="PIXELS")
     asked = parser.parse_args()
-    found = rows(asked.design, asked.rows, asked.starts, asked.limit_rad, asked.seed)
-    for each in [*found, {name: float(np.mean([row[name] for row in found])) for name in found[0]}]:
-        print(" ".join(f"{name} {value:.4g}" for name, value in each.items()))
+    table = []
+    judges = Judges(asked.rcwa, tuple(asked.meep))
+    for each in rows(asked.design, asked.rows, asked.starts, asked.limit_rad, asked.seed, judges):
+        table.append(each)
+        print(" ".join(f"{name} {value:.4g}" for name, value in each.items()), flush=True)
+    means = {name: float(np.mean([row[name] for row in table])) for name in table[0]}
+    print("mean:", " ".join(f"{name} {value:.4g}" for name, value in means.items()))

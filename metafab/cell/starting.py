@@ -105,89 +105,158 @@ def starting_cell(
     if not _SHORTEST_NM <= wavelength_nm < math.inf:
         expected = f"a wavelength of {_SHORTEST_NM:g} nm or more"
         raise InputError.single("new", "--wavelength-nm", expected, f"{wavelength_nm:g}", "the unit is nm")
-    (pillar, pillar_name, pillar_toml), (ground, ground_name, ground_toml) = (
-        _material(name, wavelength_nm, option, folder)
+    pillar, ground = (
+        _Medium.of(name, wavelength_nm, option, folder)
         for name, option in ((material, "--material"), (substrate, "--substrate"))
     )
-    n_pillar, n_ground = (refractive_index(each, wavelength_nm) for each in (pillar, ground))
-    n, n_substrate = n_pillar[0].real, n_ground[0].real
-    if n < _LEAST_INDEX:
-        expected = f"a material that guides light in air, with an index of {_LEAST_INDEX:g} or more"
-        raise InputError.single("new", "--material", expected, f"{n:.3g} at {wavelength_nm:g} nm")
-    if n_substrate < 1.0 or n_ground[0].imag > _DIMMEST * n_substrate:
-        expected = f"a substrate that light passes: n of 1 or more, k of at most {_DIMMEST:g} n"
-        raise InputError.single("new", "--substrate", expected, f"{n_ground[0]:.3g} at {wavelength_nm:g} nm")
-    widest_nm = wavelength_nm / max(n_substrate, 2.0 * numerical_aperture, n / _WIDEST)
-    period_nm = _ROUND_NM * math.floor(_MARGIN * widest_nm / _ROUND_NM)
-    largest_nm = max(_LARGEST_RULE_NM, _LARGEST_RULE * wavelength_nm)
-    gap_nm, low_nm = (
-        _ROUND_NM * max(1, round(min(share * period_nm, largest_nm) / _ROUND_NM)) for share in (_GAP, _FEATURE)
-    )
-    high_nm = period_nm - gap_nm
-    hole, hole_nm = "", 0.0
-    if shape == "ring":
-        hole_nm, wall_nm = (_ROUND_NM * max(1, round(share * period_nm / _ROUND_NM)) for share in (_HOLE, _WALL))
-        low_nm = hole_nm + 2.0 * wall_nm
-        hole = f"\ninner_diameter_nm = {hole_nm:.1f}"
-    if low_nm >= high_nm:
-        expected = f"a wavelength and indices whose period holds sizes in steps of {_ROUND_NM:g} nm beside a gap"
-        got = f"a period of {period_nm:g} nm"
-        raise InputError.single("new", "--wavelength-nm, --material, --substrate", expected, got)
-    span_nm, fewest = high_nm - low_nm, _FEWEST_STEPS[shape]
-    step_nm = next(step for step in (100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0) if span_nm / step >= fewest or step == 1.0)
+    _require_lens(pillar, ground, wavelength_nm)
+    widest_nm = wavelength_nm / max(ground.n, 2.0 * numerical_aperture, pillar.n / _WIDEST)
+    sizes = _Sizes.of(_ROUND_NM * math.floor(_MARGIN * widest_nm / _ROUND_NM), wavelength_nm, shape)
     cell = PillarCell(
-        period_nm=(period_nm, period_nm),
-        width_nm=low_nm,
-        length_nm=low_nm,
+        period_nm=(sizes.period_nm, sizes.period_nm),
+        width_nm=sizes.low_nm,
+        length_nm=sizes.low_nm,
         height_nm=0.0,
-        n_pillar=n_pillar[0],
-        n_substrate=n_ground,
+        n_pillar=pillar.index[0],
+        n_substrate=ground.index,
         n_ambient=1.0 + 0.0j,
         wavelength_nm=wavelength_nm,
         shape=cast("Shape", "ellipse" if shape == "circle" else shape),
-        hole_nm=hole_nm,
+        hole_nm=sizes.hole_nm,
     )
-    axes = 1 if shape in {"circle", "ring"} else 2
-    heights_nm = [_ROUND_NM * round(turns * wavelength_nm / (n - 1.0) / _ROUND_NM) for turns in _TURNS]
-    few_nm = np.linspace(low_nm, high_nm, _SIZES[axes])
-    found = [_efficiency(_fields(replace(cell, height_nm=height_nm), few_nm, axes)) for height_nm in heights_nm]
-    height_nm = next(h for h, share in zip(heights_nm, found, strict=True) if share >= max(found) - _NEARLY)
-    steps = round(span_nm / step_nm)
-    many_nm = np.linspace(low_nm, high_nm, steps + 1 if axes == 1 else min(steps + 1, _SIZES_OF_TWO))
-    fields = _fields(replace(cell, height_nm=height_nm), many_nm, axes)
+    cell = replace(cell, height_nm=_lowest_nm(cell, sizes))
+    most = sizes.steps + 1
+    fields = _fields(cell, sizes.spread_nm(most if sizes.axes == 1 else min(most, _SIZES_OF_TWO)), sizes.axes)
     reach_rad, efficiency = covered_rad(np.angle(fields[np.abs(fields) ** 2 >= 0.5])), _efficiency(fields)
-    indices = f"indices: {pillar_name} ({n:.4g}) and {ground_name} ({n_substrate:.4g})"
-    text = f"""# Pillars of {pillar_name} on {ground_name} at {wavelength_nm:g} nm, by the rules of thumb and the
-# search of `metafab new`; change them to suit your process. Periods below {wavelength_nm / n_substrate:.0f} nm keep all
+    return StartingCell(_text(cell, shape, sizes, pillar, ground, reach_rad, efficiency), reach_rad, efficiency)
+
+
+@dataclass(frozen=True)
+class _Medium:
+    """A material at the wavelength."""
+
+    name: str  # in a sentence
+    toml: str  # its value in a unit-cell file
+    index: tuple[complex, complex]  # along x and y
+
+    @classmethod
+    def of(cls, name: str, wavelength_nm: float, option: str, folder: Path) -> _Medium:
+        """A material by name, file or index."""
+        material, called, toml = _material(name, wavelength_nm, option, folder)
+        return cls(called, toml, refractive_index(material, wavelength_nm))
+
+    @property
+    def n(self) -> float:
+        """Real part of the index along x."""
+        return self.index[0].real
+
+
+def _require_lens(pillar: _Medium, ground: _Medium, wavelength_nm: float) -> None:
+    """Refuse pillars that guide no light in air, and a substrate that light does not pass."""
+    if pillar.n < _LEAST_INDEX:
+        expected = f"a material that guides light in air, with an index of {_LEAST_INDEX:g} or more"
+        raise InputError.single("new", "--material", expected, f"{pillar.n:.3g} at {wavelength_nm:g} nm")
+    if ground.n < 1.0 or ground.index[0].imag > _DIMMEST * ground.n:
+        expected = f"a substrate that light passes: n of 1 or more, k of at most {_DIMMEST:g} n"
+        raise InputError.single("new", "--substrate", expected, f"{ground.index[0]:.3g} at {wavelength_nm:g} nm")
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    """Period, sizes and steps of the sweep, nm."""
+
+    period_nm: float
+    gap_nm: float  # between the largest pillars
+    low_nm: float
+    high_nm: float
+    hole_nm: float  # of rings
+    step_nm: float
+    axes: int  # 2 where width and length differ
+
+    @classmethod
+    def of(cls, period_nm: float, wavelength_nm: float, shape: str) -> _Sizes:
+        """Sizes by the rules of thumb; InputError if the period is too short for any."""
+        largest_nm = max(_LARGEST_RULE_NM, _LARGEST_RULE * wavelength_nm)
+        gap_nm, low_nm = (_rounded_nm(min(share * period_nm, largest_nm)) for share in (_GAP, _FEATURE))
+        high_nm, hole_nm = period_nm - gap_nm, 0.0
+        if shape == "ring":
+            hole_nm, wall_nm = (_rounded_nm(share * period_nm) for share in (_HOLE, _WALL))
+            low_nm = hole_nm + 2.0 * wall_nm
+        if low_nm >= high_nm:
+            expected = f"a wavelength and indices whose period holds sizes in steps of {_ROUND_NM:g} nm beside a gap"
+            got = f"a period of {period_nm:g} nm"
+            raise InputError.single("new", "--wavelength-nm, --material, --substrate", expected, got)
+        longest_nm = (high_nm - low_nm) / _FEWEST_STEPS[shape]
+        step_nm = next((step for step in (100.0, 50.0, 20.0, 10.0, 5.0, 2.0) if step <= longest_nm), 1.0)
+        axes = 1 if shape in {"circle", "ring"} else 2
+        return cls(period_nm, gap_nm, low_nm, high_nm, hole_nm, step_nm, axes)
+
+    @property
+    def steps(self) -> int:
+        """Steps along each axis."""
+        return round((self.high_nm - self.low_nm) / self.step_nm)
+
+    def spread_nm(self, count: int) -> FloatArray:
+        """``count`` even sizes from the smallest to the largest, shape (count,)."""
+        return np.linspace(self.low_nm, self.high_nm, count)
+
+
+def _rounded_nm(length_nm: float) -> float:
+    return _ROUND_NM * max(1, round(length_nm / _ROUND_NM))
+
+
+def _lowest_nm(cell: PillarCell, sizes: _Sizes) -> float:
+    """The lowest height whose sizes put nearly as much light into a grating's order as those of the best."""
+    n = cell.n_pillar.real
+    heights_nm = [_ROUND_NM * round(turns * cell.wavelength_nm / (n - 1.0) / _ROUND_NM) for turns in _TURNS]
+    few_nm = sizes.spread_nm(_SIZES[sizes.axes])
+    shares = [_efficiency(_fields(replace(cell, height_nm=height_nm), few_nm, sizes.axes)) for height_nm in heights_nm]
+    return next(h for h, share in zip(heights_nm, shares, strict=True) if share >= max(shares) - _NEARLY)
+
+
+def _text(
+    cell: PillarCell,
+    shape: str,
+    sizes: _Sizes,
+    pillar: _Medium,
+    ground: _Medium,
+    reach_rad: float,
+    efficiency: float,
+) -> str:
+    """The commented unit-cell file."""
+    indices = f"indices: {pillar.name} ({pillar.n:.4g}) and {ground.name} ({ground.n:.4g})"
+    hole = f"\ninner_diameter_nm = {sizes.hole_nm:.1f}" if shape == "ring" else ""
+    widest_nm = cell.wavelength_nm / ground.n
+    return f"""# Pillars of {pillar.name} on {ground.name} at {cell.wavelength_nm:g} nm, by the rules of thumb and the
+# search of `metafab new`; change them to suit your process. Periods below {widest_nm:.0f} nm keep all
 # light in the zero order of the substrate. Solved at a low order, the sizes that transmit half of the light or more
 # reach {reach_rad:.2f} rad of phase (a turn is 6.28). A slow grating of these pillars sends {100.0 * efficiency:.0f} %
 # of the light into its order.
 source = {json.dumps(indices, ensure_ascii=False)}
 
 [cell]
-period_nm = {period_nm:.1f}
-height_nm = {height_nm:.1f}
+period_nm = {sizes.period_nm:.1f}
+height_nm = {cell.height_nm:.1f}
 shape = "{shape}"{hole}
 
 [materials]
-pillar = {pillar_toml}
-substrate = {ground_toml}
+pillar = {pillar.toml}
+substrate = {ground.toml}
 ambient = {{ n = 1.0 }}
 
 [illumination]
-wavelength_nm = {wavelength_nm!r}
+wavelength_nm = {cell.wavelength_nm!r}
 side = "substrate"
 
 [sweep]
-width_nm = [{low_nm:.1f}, {high_nm:.1f}]            # gaps of {gap_nm:g} nm remain between the largest
-length_nm = [{low_nm:.1f}, {high_nm:.1f}]
-size_grid_nm = {step_nm:.1f}
+width_nm = [{sizes.low_nm:.1f}, {sizes.high_nm:.1f}]            # gaps of {sizes.gap_nm:g} nm remain between the largest
+length_nm = [{sizes.low_nm:.1f}, {sizes.high_nm:.1f}]
+size_grid_nm = {sizes.step_nm:.1f}
 target_error = {_ERROR[shape]:g}           # of complex t
 
 [solver]
 name = "rcwa"
 """
-    return StartingCell(text, reach_rad, efficiency)
 
 
 def _fields(cell: PillarCell, sizes_nm: FloatArray, axes: int) -> ComplexArray:

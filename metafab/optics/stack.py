@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +14,19 @@ from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import one_blas_thread
 from metafab.core.parallel.work import Work
 from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
-from metafab.optics.geometry.path import Ray, power_at_aperture
+from metafab.optics.geometry.path import JonesEntry, Ray, power_at_aperture
 from metafab.optics.interpolation import at_tangent
 from metafab.optics.measures.metrics import orientation_deg
 from metafab.optics.numerics import PsfNumerics, require_valid
 from metafab.optics.point_spread import Psf, PsfDetails, PsfField
 from metafab.optics.propagation.blocks import reduce_to_target
-from metafab.optics.propagation.image import Window, relative_l2
+from metafab.optics.propagation.image import Judged, Window, relative_l2
 from metafab.optics.propagation.pupil import Pupil
 from metafab.optics.sources.oblique import from_direction, neighbour_map_of
 from metafab.optics.sources.source import Source
+
+#: Irradiance over depth in a window, shape (n_depth, n_y, n_x), and the error of each judged depth.
+_WindowLight = tuple[FloatArray, FloatArray]
 
 
 def psf(
@@ -61,86 +65,114 @@ def psf(
     grid = None if field_tangents is None else _grid(field_tangents)
     require_valid(imaging, depths, tangent, grid, numerics)
     source = from_direction(source, tangent, grid)
-    window = Window.for_target(imaging, numerics)
-    windows = window.over_band(tangent, numerics.filter_fwhm_nm)
-    directions = [tangent]
-    if grid is not None:
-        directions += [(float(t_x), float(t_y)) for t_y in grid[1] for t_x in grid[0]]
-    # Polarisation of the window (and pillars), and of the object.
-    entries = [(0, 0), (1, 1)] if imaging.crystal is None else [(0, 0), (1, 1), (0, 1), (1, 0)]
-    tasks = [(entry, t) for t in directions[:1] for entry in entries]
-    tasks += [(entry, t) for entry in entries for t in directions[1:]]
-    middle, probe = len(depths) // 2, None if grid is None else _between_nodes(grid)
-    images: list[FloatArray] = []
-    errors: list[FloatArray] = []
     with one_blas_thread(), work.threads() as pool:
+        windows = Window.for_target(imaging, numerics).over_band(tangent, numerics.filter_fwhm_nm)
         pyramids, stray = reduce_to_target(source, windows, depths, tangent, grid, numerics.block_error, pool, work)
-        unwanted_light = pool.submit(Window.stray_irradiance, window, stray, 0, tangent, depths)
-        jobs = [
-            pool.submit(
-                Window.light,
-                window,
-                pyramids[entry[0]],
-                entry[0],
-                t,
-                depths,
-                numerics,
-                judged="all" if index < len(entries) else "ends",
-                entry=entry,
-            )
-            for index, (entry, t) in enumerate(tasks)
-        ]
-        central = depths[middle : middle + 1]
-        checks = (
-            []
-            if probe is None
-            else [
-                pool.submit(Window.light, window, pyramids[p], p, probe, central, numerics, judged="none")
-                for p in (0, 1)
-            ]
-        )
-        for done, job in enumerate(jobs):
-            image, error = job.result()
-            images.append(image if done < len(entries) else image.astype(np.float32))
-            errors.append(error)
-            work.progress("psf", done + 1, len(tasks))
-        between = [job.result()[0] for job in checks]
-        unwanted = unwanted_light.result().sum(axis=(1, 2)) * imaging.pixel_um**2
+        light = _light(_Sum(imaging, pyramids, stray, depths, numerics), tangent, grid, pool, work)
 
-    transmitted = [_transmitted(imaging, pyramids, p, depths[middle], tangent) for p in (0, 1)]
-    over_field = np.array(images[len(entries) :], dtype=np.float32)
-    parts = over_field.reshape(len(entries) // 2, -1, *over_field.shape[1:])
+    transmitted = [_transmitted(imaging, pyramids, p, depths[len(depths) // 2], tangent) for p in (0, 1)]
     pairs = [
-        _pair(imaging, depths, tangent, images[i : i + 2], errors[i : i + 2], None if grid is None else (grid, part))
-        for i, part in zip(range(0, len(entries), 2), parts, strict=True)
+        _pair(imaging, depths, tangent, images, errors, None if grid is None else (grid, part))
+        for images, errors, part in zip(light.images, light.errors, light.over_field, strict=True)
     ]
     wanted, ghost = pairs[0], pairs[1] if len(pairs) > 1 else None
-    if ghost is not None:
-        unwanted = unwanted + ghost.efficiency[0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        extinction = wanted.efficiency[0] / unwanted
-    if np.abs(np.diff(wanted.centre_um[:, 0], axis=0)).max() < imaging.pixel_um:
-        extinction = np.full(len(depths), np.nan)  # one window holds the light of both polarisations
-    between_error = float("nan")
-    if probe is not None:
-        between_error = relative_l2(at_tangent(wanted, probe)[:, middle : middle + 1], np.array(between))
+    unwanted = light.unwanted if ghost is None else light.unwanted + ghost.efficiency[0]
+    pupil = pyramids[0][0]
+    details = PsfDetails(
+        block_sites=pupil.carrier.block_sites,
+        blocks=pupil.power.size,
+        transmitted=tuple(transmitted),
+        stray=tuple(share - float(wanted.efficiency[p, len(depths) // 2]) for p, share in enumerate(transmitted)),
+        field_error=light.field_error,
+        field_interpolation_error=light.interpolation_error(wanted, grid),
+        filter_fwhm_nm=numerics.filter_fwhm_nm,
+        seconds=time.perf_counter() - begun,
+    )
     return replace(
         wanted,
-        extinction_ratio=extinction,
+        extinction_ratio=_extinction_ratio(wanted, unwanted),
         ghost=ghost,
-        details=PsfDetails(
-            block_sites=pyramids[0][0].carrier.block_sites,
-            blocks=pyramids[0][0].power.size,
-            transmitted=tuple(transmitted),
-            stray=tuple(share - float(wanted.efficiency[p, middle]) for p, share in enumerate(transmitted)),
-            field_error=float("nan") if grid is None else float(max(e.max() for e in errors[len(entries) :])),
-            field_interpolation_error=between_error,
-            filter_fwhm_nm=numerics.filter_fwhm_nm,
-            seconds=time.perf_counter() - begun,
-        ),
-        aperture_um=pyramids[0][0].sub_apertures_um,
+        details=details,
+        aperture_um=pupil.sub_apertures_um,
         neighbours=neighbour_map_of(source),
     )
+
+
+@dataclass(frozen=True)
+class _Sum:
+    """What the light of every window is added up from."""
+
+    imaging: Imaging
+    pyramids: list[list[Pupil]]  # of each polarisation: block sums, then those of ever coarser blocks
+    stray: Pupil  # block sums of y polarised light for the window of x
+    depths_m: list[float]
+    numerics: PsfNumerics
+
+    @property
+    def entries(self) -> list[JonesEntry]:
+        """Polarisations of window (and pillars) and of the object, 0 for x: the pair, and with a crystal its ghosts."""
+        return [(0, 0), (1, 1)] if self.imaging.crystal is None else [(0, 0), (1, 1), (0, 1), (1, 0)]
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Irradiance in all windows; the first axis of the lists is the pair, then its ghosts if there are any."""
+
+    images: list[list[FloatArray]]  # of x and y on the direction of the pair, shape (n_depth, n_y, n_x) each
+    errors: list[list[FloatArray]]  # theirs, shape (n_depth,) each
+    over_field: NDArray[np.float32]  # shape (n_pairs, 2 n_field_y n_field_x, n_depth, n_y, n_x)
+    field_error: float  # the largest over the field; NaN without one
+    between: list[FloatArray]  # of x and y at the middle depth between the last nodes of the field; empty without one
+    unwanted: FloatArray  # shape (n_depth,), power of the other polarisation in the window of PSF_x
+
+    def interpolation_error(self, wanted: Psf, grid: FieldGrid | None) -> float:
+        """Relative L2 error of the pair interpolated between the nodes of the field; NaN without a field."""
+        probe, middle = _between_nodes(grid), wanted.depth_m.size // 2
+        if probe is None:
+            return float("nan")
+        return relative_l2(at_tangent(wanted, probe)[:, middle : middle + 1], np.array(self.between))
+
+
+def _light(total: _Sum, tangent: Tangent, grid: FieldGrid | None, pool: Executor, work: Work) -> _Light:
+    """Add up the light of the pair at ``tangent`` and at all nodes of ``grid``, a window at a time."""
+    depths, numerics, entries = total.depths_m, total.numerics, total.entries
+    window, probe = Window.for_target(total.imaging, numerics), _between_nodes(grid)
+    nodes = [] if grid is None else [(float(t_x), float(t_y)) for t_y in grid[1] for t_x in grid[0]]
+    tasks = [(entry, tangent) for entry in entries] + [(entry, node) for entry in entries for node in nodes]
+
+    def begun(entry: JonesEntry, at: Tangent, depths_m: list[float], judged: Judged) -> Future[_WindowLight]:
+        pupils = total.pyramids[entry[0]]
+        return pool.submit(Window.light, window, pupils, entry[0], at, depths_m, numerics, judged=judged, entry=entry)
+
+    unwanted = pool.submit(Window.stray_irradiance, window, total.stray, 0, tangent, depths)
+    jobs = [begun(*task, depths, "all" if k < len(entries) else "ends") for k, task in enumerate(tasks)]
+    central = depths[len(depths) // 2 :][:1]
+    checks = [] if probe is None else [begun((p, p), probe, central, "none") for p in (0, 1)]
+    images: list[FloatArray] = []
+    errors: list[FloatArray] = []
+    for done, job in enumerate(jobs):
+        image, error = job.result()
+        images.append(image if done < len(entries) else image.astype(np.float32))
+        errors.append(error)
+        work.progress("psf", done + 1, len(tasks))
+    over_field = np.array(images[len(entries) :], dtype=np.float32)
+    pairs = range(0, len(entries), 2)
+    return _Light(
+        images=[images[i : i + 2] for i in pairs],
+        errors=[errors[i : i + 2] for i in pairs],
+        over_field=over_field.reshape(len(pairs), -1, *over_field.shape[1:]),
+        field_error=float(max(error.max() for error in errors[len(entries) :])) if nodes else float("nan"),
+        between=[job.result()[0] for job in checks],
+        unwanted=unwanted.result().sum(axis=(1, 2)) * total.imaging.pixel_um**2,
+    )
+
+
+def _extinction_ratio(wanted: Psf, unwanted: FloatArray) -> FloatArray:
+    """Wanted over unwanted power in the window of PSF_x, shape (n_depth,); NaN if it is that of PSF_y, too."""
+    if np.abs(np.diff(wanted.centre_um[:, 0], axis=0)).max() < wanted.pixel_um:
+        return np.full(wanted.depth_m.shape, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(wanted.efficiency[0] / unwanted)
 
 
 def _pair(
@@ -173,8 +205,10 @@ def _grid(field_tangents: FieldGrid) -> FieldGrid | None:
     return None if t_x.size == t_y.size == 1 else (t_x, t_y)
 
 
-def _between_nodes(grid: FieldGrid) -> Tangent | None:
+def _between_nodes(grid: FieldGrid | None) -> Tangent | None:
     """Middle of an outermost cell of the field grid, where interpolation errs most; None where cells have no area."""
+    if grid is None:
+        return None
     (t_x, t_y), (step_x, step_y) = grid, (np.diff(axis) for axis in grid)
     flat = min(t_x.size, t_y.size) == 1 or min(step_x.min(), step_y.min()) <= 0.0
     return None if flat else (float(t_x[-2:].mean()), float(t_y[-2:].mean()))

@@ -49,12 +49,12 @@ def planes_around(
     """
     label = last.label[surroundings].copy()
     label[relative_slices(part, surroundings)][affected] = 0
-    numbers, place = np.unique(label, return_inverse=True)
-    around = [number for number in numbers.tolist() if number > 0]
-    ranked = place.reshape(label.shape).astype(np.int32) + (0 if (numbers == 0).any() else 1)
+    around = 1 + np.flatnonzero(np.bincount(label.ravel())[1:])
+    rank = np.zeros(len(last.depths) + 1, dtype=np.int32)
+    rank[around] = np.arange(1, around.size + 1)
     rows, columns = surroundings
-    planes = [last.depths[number - 1].plane.moved(-rows.start, -columns.start) for number in around]
-    return distinct_planes(planes, ranked, separation_per_m)
+    planes = [last.depths[number - 1].plane.moved(-rows.start, -columns.start) for number in around.tolist()]
+    return distinct_planes(planes, rank[label], separation_per_m)
 
 
 def track(

@@ -27,12 +27,12 @@ from metafab.decode.images.compose import PixelMaps, focus_depths, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import SharpImages, TileSpectra
 from metafab.decode.matching.cost_volume import CostVolume
-from metafab.decode.matching.depth import PixelDepth, pixel_depth
+from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.registration.downsampling import relative_slices, repeated
 from metafab.decode.registration.pedestal import without_pedestal
 from metafab.decode.registration.twins import extract_part
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.regions import find_regions, near_texture
+from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
 from metafab.decode.segmentation.segments import Regions
 from metafab.decode.segmentation.surfaces import layer_separation_per_m
 
@@ -261,11 +261,10 @@ class VideoDecoder:
         for one in rectangles:
             part, around, inside, local = one.part, one.around, one.inside, one.prepared
             local_volume = volume.within(*around)
-            depth = pixel_depth(local_volume, local.window, local.variance)
-            claimed, renewed = depth.claimed & near_texture(local), changed[part]
+            depth, renewed = textured_pixel_depth(local, local_volume), changed[part]
             pixels.vergence_per_m[part][renewed] = depth.vergence_per_m[inside][renewed]
             pixels.relative_error[part][renewed] = depth.relative_error[inside][renewed]
-            pixels.claimed[part][renewed] = claimed[inside][renewed]
+            pixels.claimed[part][renewed] = depth.claimed[inside][renewed]
             known = planes_around(regions, part, around, renewed, separation)
             numerics, here = self.decoder.numerics, pixels.within(*around)
             # Segments that continue keep their depth: outliers are left out of the others once.

@@ -32,8 +32,8 @@ W, H, X, Y, _REPETITION, DATATYPE_LAYER = 0b100_0000, 0b10_0000, 0b1_0000, 0b100
 POINTS = 0b10_0000
 _ARBITRARY_ON_GRID = 11
 
-# Level of libdeflate, which takes half of zlib's time for fewer bytes. docs/benchmarks.md has the bytes and seconds of
-# each level: levels from 10 on save another 5 % in six times the time.
+# Level of libdeflate, which takes half of zlib's time for fewer bytes; docs/benchmarks/masks.md has the figures of
+# each level: those from 10 on save another 5 % in six times the time.
 _DEFLATE_LEVEL = 7
 
 #: Orders of which the best is chosen for each tile; the last takes whole rows.
