@@ -10,6 +10,7 @@ import numpy as np
 
 from benchmarks.decode import scene_judge as judge
 from benchmarks.decode.scene_judge import Decoded
+from benchmarks.decode.scene_pictures import rgbd
 from benchmarks.decode.scene_stacks import FIELD_PX, LAYOUTS, picture
 from metafab.spec import Scene, SceneObject, load_design
 
@@ -174,6 +175,8 @@ _NATURAL_GOALS = (
     Goal(judge.miscalibration, 0.05),
 )
 _STAIRS = "stairs, each tread"
+_SURE_GOALS = Goal(judge.sure_and_wrong, 0.01), Goal(judge.miscalibration, 0.05)
+_PICTURE_GOALS = Goal(judge.all_error, 0.015), Goal(judge.decoded_share, 0.9, True), *_SURE_GOALS
 
 CASES = (
     Case(
@@ -252,5 +255,14 @@ CASES = (
         _first_page,
         (Goal(judge.all_error, 0.002), Goal(judge.swapped, 0.0)),
         lens="small",
+    ),
+    Case("motorcycle", "a picture with its depth", rgbd("motorcycle", 3000.0), _PICTURE_GOALS),
+    Case("motorcycle_500", "a picture with its depth in little light", rgbd("motorcycle", 500.0), _SURE_GOALS),
+    Case("steps", "a photograph on steps of depth that its light hardly shows", rgbd("steps", 3000.0), _SURE_GOALS),
+    Case(
+        "plain_ground",
+        "plain dim ground about textured objects",
+        rgbd("plain_ground", 3000.0),
+        _SURE_GOALS,
     ),
 )

@@ -1,7 +1,7 @@
 """Most light that sizes can send into the wanted orders of a lens' rows, by a search with the model of neighbours.
 
     python -m benchmarks.mask.neighbour_rows DESIGN.toml [--rows 6] [--starts 16] [--limit-rad 0.03] [--seed 1]
-        [--rcwa] [--meep 16 24]
+        [--resolution 3] [--meep 16 24]
 
 Rows lie at random places of the lens and hold one turn or more of each polarisation's phase; each is closed to a
 period. In a closed row the light of any size at one site follows exactly from that site's block of the inverse of the
@@ -9,14 +9,17 @@ row's matrix. Each site in turn takes the best of the sizes that suit lone pilla
 Searches start from the sizes for lone pillars, from random ones among the best, and from the best row found with new
 sizes at a few sites. The library lies beside the design's unit cell.
 
-``--rcwa`` and ``--meep`` judge the best row by full wave: light of both orders, and the larger phase of the two about
-its target. The coupling of neighbours by Meep, whose grid errs alike for lone pillars, is added to the library's field.
+With ``--resolution`` the sizes for lone pillars and the best ones of each row are also solved by spectral elements of
+that resolution: keys ``full wave``, with the largest phase of the best row's orders about their targets. With 3 this
+takes from half a minute of processor time for 16 pillars to two for 24. ``--meep`` adds Meep on grids of so many pixels
+a period: its coupling of neighbours, without the grid's error of each pillar alone, is added to the library's field.
+For 16 pillars and both kinds of sizes 24 pixels take some 20 minutes.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,9 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab import library, phase
-from metafab.cell.elements.solve import supercell_orders
+from metafab.cell.elements.solve import orders_at
 from metafab.cell.meep import SupercellSettings
 from metafab.cell.meep.supercell import solve_supercell
+from metafab.cell.pillar import PillarCell
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
 from metafab.fullwave.blocks import lone_orders
@@ -42,20 +46,11 @@ from metafab.library.use.amplitudes import power_ratio_of
 from metafab.spec import load_design
 
 Sizes = NDArray[np.intp]
-IntArray = NDArray[np.intp]
 
 #: Sizes tried at each site; sites per row, and how far its phases may be from whole turns, in turns.
 _TRIED, _SITES, _FROM_WHOLE = 800, (13, 25), 0.2
 #: Loss of light per squared rad that a phase is beyond its limit.
 _PHASE_PRICE = 20.0
-
-
-@dataclass(frozen=True)
-class Judges:
-    """Full-wave solvers of the best rows."""
-
-    rcwa: bool = False  #: By spectral elements.
-    meep_pixels: tuple[int, ...] = ()  #: By Meep, pixels a period of each grid.
 
 
 class _Solved(NamedTuple):
@@ -120,16 +115,10 @@ class _Light:
 class _Row:
     """A closed row of a lens."""
 
-    target_rad: FloatArray  #: Shape (2, n).
-    turns: IntArray  #: Shape (2,), turns of the target: the wanted order of each polarisation.
     lights: tuple[_Light, _Light]
+    weight: ComplexArray  #: Shape (2, n), exp(-i target).
     limit_rad: float  #: Largest phase of an order.
     ratio: float  #: Power over squared amplitude.
-
-    @property
-    def weight(self) -> ComplexArray:
-        """Conjugate of the target wave, shape (2, n)."""
-        return np.asarray(np.exp(-1j * self.target_rad))
 
     @property
     def lone(self) -> FloatArray:
@@ -180,10 +169,10 @@ class _Row:
         return best
 
 
-def _targets(mapping: TileMapping, count: int, seed: int) -> list[tuple[FloatArray, IntArray]]:
-    """Target phases of closed rows at random places, shape (2, n) each, and their whole turns, shape (2,)."""
+def _targets(mapping: TileMapping, count: int, seed: int) -> list[FloatArray]:
+    """Target phases of closed rows at random places, shape (2, n) each."""
     rng, lattice = np.random.default_rng(seed), mapping.aperture.lattice
-    found: list[tuple[FloatArray, IntArray]] = []
+    found: list[FloatArray] = []
     x_um, y_um = lattice.x_um(), lattice.y_um()
     while len(found) < count:
         row, column = rng.integers(np.array(lattice.shape) - [0, _SITES[1]]).tolist()
@@ -195,40 +184,52 @@ def _targets(mapping: TileMapping, count: int, seed: int) -> list[tuple[FloatArr
         turns = np.rint(sites * turn)
         if np.abs(sites * turn - turns).max() < _FROM_WHOLE and turns.all():
             first = target[:, :1] + np.reshape(mapping.offset_rad, (2, 1))
-            found.append((first + 2.0 * np.pi * turns[:, None] / sites * np.arange(sites), turns.astype(np.intp)))
+            found.append(first + 2.0 * np.pi * turns[:, None] / sites * np.arange(sites))
     return found
 
 
-def _by_full_wave(row: _Row, size_nm: FloatArray, known: Library, judges: Judges) -> dict[str, float]:
-    """Light of both orders of a closed row, and their larger phase about the target, by each judge.
+def full_wave(cell: PillarCell, size_nm: FloatArray, target: FloatArray, resolution: float) -> ComplexArray:
+    """Amplitudes of the wanted orders of a closed row by spectral elements, over their target waves, shape (2,).
 
-    ``size_nm`` are the row's pillars, shape (n, 2).
+    ``size_nm`` has the shape (n, 2); ``target``, shape (2, n), changes by whole turns over the row.
     """
-    supercell = Supercell(site_cell(known), size_nm[None])
-    orders: dict[str, tuple[IntArray, ComplexArray]] = {}
-    if judges.rcwa:
-        solved = supercell_orders(supercell)
-        orders["rcwa"] = solved.order, np.stack([solved.t[:, axis, axis] for axis in range(2)])
-    for pixels in judges.meep_pixels:
-        parts = [solve_supercell(supercell, light, SupercellSettings(pixels)) for light in POLARISATIONS]
-        lone = lone_orders(supercell, known)
-        coupling = np.stack([part.co_polarised - part.local_period for part in parts])
-        in_library = np.stack([lone.t[:, axis, axis] for axis in range(2)])
-        orders[f"meep {pixels}"] = parts[0].order, in_library + coupling
-    found = {}
-    for judge, (order, amplitude) in orders.items():
-        at = [int(np.flatnonzero((order == (turns, 0)).all(axis=1))[0]) for turns in row.turns]
-        mean = amplitude[range(2), at] * np.exp(-1j * row.target_rad.mean(axis=1))  # orders count from the middle
-        found[judge], found[f"{judge} rad"] = float(row.light(mean)), float(np.abs(np.angle(mean)).max())
+    row = Supercell(cell, size_nm[None])
+    t = orders_at(row, POLARISATIONS, resolution)
+    return _over_target(row, np.stack([t[:, axis, axis] for axis in range(2)]), target)
+
+
+def by_meep(known: Library, size_nm: FloatArray, target: FloatArray, pixels_per_period: int) -> ComplexArray:
+    """As :func:`full_wave`, by the coupling that Meep finds on a grid, added to the field of the library's pillars."""
+    row, settings = Supercell(site_cell(known), size_nm[None]), SupercellSettings(pixels_per_period)
+    solved = [solve_supercell(row, light, settings) for light in POLARISATIONS]
+    lone = lone_orders(row, known).t
+    fields = [lone[:, axis, axis] + one.co_polarised - one.local_period for axis, one in enumerate(solved)]
+    return _over_target(row, np.stack(fields), target)
+
+
+def _over_target(row: Supercell, t: ComplexArray, target: FloatArray) -> ComplexArray:
+    """Amplitudes of the wanted orders among ``t``, shape (2, n_orders), over their target waves, shape (2,)."""
+    order, found = row.propagating_orders("x"), np.empty(2, dtype=np.complex128)
+    for axis, wave in enumerate(target):
+        wanted = row.local_period(order, np.exp(1j * wave)[None])
+        at = int(np.argmax(np.abs(wanted)))
+        found[axis] = t[axis, at] / wanted[at]
     return found
 
 
 def rows(
-    design: Path, count: int, starts: int, limit_rad: float, seed: int, judges: Judges = Judges()
+    design: Path,
+    count: int,
+    starts: int,
+    limit_rad: float,
+    seed: int,
+    resolution: float | None = None,
+    meep_pixels: Sequence[int] = (),
 ) -> Iterator[dict[str, float]]:
     """Light of each row: promised by lone pillars, of their sizes among neighbours, by one search, and by all.
 
-    The last is judged by full wave, too, if asked.
+    ``resolution``: spectral elements that also solve the lone sizes and the best ones; None leaves this out.
+    ``meep_pixels``: grids on which Meep solves them, pixels a period.
     """
     spec = load_design(design)
     known: Library = library.load(Path(spec.library).with_suffix(".h5"))
@@ -237,15 +238,28 @@ def rows(
     t = mapping.table.t[1:]
     models = [require_neighbours(known).line(0, light).model for light in POLARISATIONS]
     lights = _Light.of(models[0], size_nm, t[:, 0]), _Light.of(models[1], size_nm, t[:, 1])
-    for target, turns in _targets(mapping, count, seed):
-        row = _Row(target, turns, lights, limit_rad, float(np.mean(power_ratio_of(known))))
+    for target in _targets(mapping, count, seed):
+        row = _Row(lights, np.exp(-1j * target), limit_rad, float(np.mean(power_ratio_of(known))))
         lone = row.lone.argmax(axis=1)
         promised = np.mean(row.weight * t[lone].T, axis=1)
         kept = (lone, row.ascended(lone)[0], row.searched(starts, seed)[0])
         sums = [np.array([each.sum for each in row.solve(sizes)]) / lone.size for sizes in kept]
         light = [float(row.light(mean)) for mean in (promised, *sums)]
-        of_model = dict(zip(("promised", "lone sizes", "one search", "all"), light, strict=True))
-        yield of_model | _by_full_wave(row, size_nm[kept[-1]], known, judges) | {"sites": lone.size}
+        figures = dict(zip(("promised", "lone sizes", "one search", "all"), light, strict=True))
+        judged = (("lone sizes", size_nm[lone]), ("all", size_nm[kept[-1]]))
+        if resolution is not None:
+            for name, sizes_nm in judged:
+                mean = full_wave(site_cell(known), sizes_nm, target, resolution)
+                figures[f"full wave, {name}"] = float(row.light(mean))
+            figures["full wave, largest phase / rad"] = float(np.abs(np.angle(mean)).max())
+        for pixels in meep_pixels:
+            for name, sizes_nm in judged:
+                figures[f"Meep {pixels}, {name}"] = float(row.light(by_meep(known, sizes_nm, target, pixels)))
+        yield figures | {"sites": lone.size}
+
+
+def _line(figures: dict[str, float]) -> str:
+    return " ".join(f"{name} {value:.4g}" for name, value in figures.items())
 
 
 if __name__ == "__main__":
@@ -255,13 +269,11 @@ if __name__ == "__main__":
     parser.add_argument("--starts", type=int, default=16)
     parser.add_argument("--limit-rad", type=float, default=0.03)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--rcwa", action="store_true")
-    parser.add_argument("--meep", type=int, nargs="+", default=[], metavar="PIXELS")
+    parser.add_argument("--resolution", type=float, help="also solve rows by spectral elements of this resolution")
+    parser.add_argument("--meep", type=int, nargs="+", default=[], metavar="PIXELS", help="also solve rows by Meep")
     asked = parser.parse_args()
-    table = []
-    judges = Judges(asked.rcwa, tuple(asked.meep))
-    for each in rows(asked.design, asked.rows, asked.starts, asked.limit_rad, asked.seed, judges):
-        table.append(each)
-        print(" ".join(f"{name} {value:.4g}" for name, value in each.items()), flush=True)
-    means = {name: float(np.mean([row[name] for row in table])) for name in table[0]}
-    print("mean:", " ".join(f"{name} {value:.4g}" for name, value in means.items()))
+    found = []
+    for each in rows(asked.design, asked.rows, asked.starts, asked.limit_rad, asked.seed, asked.resolution, asked.meep):
+        found.append(each)
+        print(_line(each), flush=True)
+    print(_line({name: float(np.mean([row[name] for row in found])) for name in found[0]}))

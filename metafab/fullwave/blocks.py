@@ -23,9 +23,9 @@ from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from metafab.cell import solve as solve_cell
-from metafab.cell.elements.solve import ElementNumerics, supercell_orders
+from metafab.cell.elements.solve import ElementNumerics, require_treated, supercell_orders
 from metafab.cell.meep import Pool
-from metafab.cell.meep.supercell import refined_orders
+from metafab.cell.meep.supercell import SupercellSettings, memory_bytes, refined_orders
 from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import Fault, InputError
@@ -42,10 +42,12 @@ from metafab.spec.toml import validate
 Solver: TypeAlias = Literal["model", "rcwa", "meep", "lone"]
 
 #: Bound on the error of the local-period approximation over the rms step of t from site to site. On seven silicon rows
-#: (lens-like, random, nearly equal) the share was 0.16 to 0.47.
-_PER_STEP = 0.5
+#: (lens-like, random, nearly equal) the share was 0.16 to 0.47, on nine rows of 2 to 13 random sizes up to 0.50.
+_PER_STEP = 0.6
 #: Largest accepted file of supercells, MB, unless a limit ``memory_mb`` is stated, for example by a design.
 _LARGEST_MB = 4.0
+#: Largest accepted memory of Meep, MB, unless that limit is stated; `metafab patch` has the same.
+_MOST_MEEP_MB = 8000.0
 
 _Sizes = Annotated[list[Annotated[list[NonNegative], Field(min_length=1)]], Field(min_length=1)]
 
@@ -59,9 +61,11 @@ class Block:
 
     @model_validator(mode="after")
     def _one_shape(self) -> Block:
-        rows = [*map(len, self.width_nm)], [*map(len, self.length_nm)]
-        if rows[0] != rows[1] or len(set(rows[0])) > 1:
-            raise ValueError(f"`width_nm` and `length_nm` must have equally many rows of one length, got {rows}")
+        lengths = [[len(row) for row in sizes] for sizes in (self.width_nm, self.length_nm)]
+        if lengths[0] != lengths[1] or len(set(lengths[0])) > 1:
+            got = " and of ".join(f"{len(each)} x {min(each)} to {max(each)}" for each in lengths)
+            expected = "`width_nm` and `length_nm` of equally many rows, all of one length"
+            raise ValueError(f"expected {expected}, got lists of {got} sizes; give 0 where no pillar stands")
         return self
 
     @property
@@ -77,11 +81,22 @@ class Blocks:
     blocks: Annotated[list[Block], Field(min_length=1)]  #: One supercell each.
 
 
-def read_blocks(path: Path, library: Library, solver: Solver = "rcwa") -> list[Supercell]:
+@dataclasses.dataclass(frozen=True)
+class BlockNumerics:
+    """Numerics of the full-wave solvers."""
+
+    rcwa: ElementNumerics = dataclasses.field(default_factory=ElementNumerics)  #: Target error and resolutions.
+    pixels_per_period: tuple[int, ...] = (16, 24)  #: Grids of Meep, two or more.
+
+
+def read_blocks(
+    path: Path, library: Library, solver: Solver = "rcwa", numerics: BlockNumerics = BlockNumerics()
+) -> list[Supercell]:
     """Read supercells of the library's unit cell.
 
-    InputError if the file is missing or holds faults (all of them are reported), sizes that the library does not hold
-    for the solvers ``model`` and ``lone`` included, or supercells of this unit cell cannot be solved.
+    InputError if the file is missing or holds faults (all of them are reported), if supercells of this unit cell cannot
+    be solved, or if ``solver`` does not treat one: sizes beyond the library's sweep (``model``, ``lone``), too many
+    functions or pillars that nearly touch (``rcwa``), too much memory (``meep``). Nothing is solved before.
     """
     try:
         most_mb = limit("memory_mb", _LARGEST_MB)
@@ -99,8 +114,8 @@ def read_blocks(path: Path, library: Library, solver: Solver = "rcwa") -> list[S
         for axis, name in enumerate(("width_nm", "length_nm")):
             largest, period = float(size_nm[..., axis].max()), cell.period_nm[axis]
             if largest > period:
-                expected = f"at most the period of {period:g} nm"
-                faults.append(Fault(f"blocks[{number}].{name}", expected, f"{largest:g} nm"))
+                expected, remedy = f"at most the period of {period:g} nm", "make the pillar smaller"
+                faults.append(Fault(f"blocks[{number}].{name}", expected, f"{largest:g} nm", remedy))
             elif solver in {"model", "lone"}:
                 faults += _beyond_sweep(library, f"blocks[{number}].{name}", size_nm[..., axis], axis, solver)
         if np.any((size_nm[..., 0] == 0.0) != (size_nm[..., 1] == 0.0)):
@@ -109,9 +124,28 @@ def read_blocks(path: Path, library: Library, solver: Solver = "rcwa") -> list[S
             faults.append(Fault(f"blocks[{number}]", "`length_nm` equal to `width_nm` for circles", "other lengths"))
         if not faults:
             supercells.append(Supercell(cell, size_nm))
+    faults = faults or [each for k, one in enumerate(supercells) for each in _untreated(one, k, solver, numerics)]
     if faults:
         raise InputError(str(path), faults)
     return supercells
+
+
+def _untreated(supercell: Supercell, number: int, solver: Solver, numerics: BlockNumerics) -> Sequence[Fault]:
+    """Faults of block ``number`` if a full-wave solver does not treat it, or takes more memory than it may."""
+    if solver == "rcwa":
+        try:
+            require_treated(supercell, numerics.rcwa)
+        except InputError as refused:
+            return [dataclasses.replace(fault, field=f"blocks[{number}]") for fault in refused.faults]
+    elif solver == "meep":
+        pixels, most_mb = max(numerics.pixels_per_period), limit("memory_mb", _MOST_MEEP_MB)
+        taken_mb = 1e-6 * memory_bytes(supercell, SupercellSettings(pixels))
+        if taken_mb > most_mb:
+            n_y, n_x = supercell.shape
+            got = f"about {taken_mb:.0f} MB for {n_x} x {n_y} pillars at {pixels} pixels a period"
+            remedy = "ask for fewer pixels, use the solver model, or raise `--limit memory_mb=N`"
+            return [Fault(f"blocks[{number}]", f"at most {most_mb:g} MB of memory for Meep", got, remedy)]
+    return []
 
 
 def _beyond_sweep(library: Library, field: str, size_nm: FloatArray, axis: int, solver: Solver) -> list[Fault]:
@@ -125,14 +159,6 @@ def _beyond_sweep(library: Library, field: str, size_nm: FloatArray, axis: int, 
     if solver == "model" and not stands.all():
         return [Fault(field, expected, "an empty site", "use the solver rcwa, meep or lone")]
     return []
-
-
-@dataclasses.dataclass(frozen=True)
-class BlockNumerics:
-    """Numerics of the full-wave solvers."""
-
-    rcwa: ElementNumerics = dataclasses.field(default_factory=ElementNumerics)  #: Target error and resolutions.
-    pixels_per_period: tuple[int, ...] = (16, 24)  #: Grids of Meep, two or more.
 
 
 def solve_blocks(

@@ -186,10 +186,13 @@ class Library(Displayed):
         """Return sentences about sizes beyond the target error and about a model of neighbours that lowers no error."""
         target, error = self.unit_cell.sweep.target_error, self.error_of_sizes
         found = []
-        if self.neighbours is not None and not self.neighbours.pays:
+        failing = [] if self.neighbours is None else [line for line in self.neighbours.lines if not line.pays]
+        if failing:
+            chain = failing[0].statistics
             found.append(
-                f"the model of neighbours does not lower the error: {self.neighbours.summary}; it is used only where a "
-                "design asks for it. Raise `neighbours.rows` in the unit cell"
+                f"a chain of the model of neighbours does not lower the error: {chain.error:.3f} of the field on its "
+                f"held-out rows, {chain.local_period_error:.3f} without it; the model is used only where a design asks "
+                "for it. Raise `neighbours.rows` in the unit cell"
             )
         beyond = int(np.count_nonzero(error > target))
         if not beyond:

@@ -169,7 +169,8 @@ def _neighbours_line(summary: RunSummary) -> BudgetLine:
             "model of unlike neighbours",
             None if statistics is None else statistics.error_alike,
             "relative L2",
-            "field of held-out rows whose phases change steadily, by the library's model against the solver",
+            "field of held-out rows whose phases change steadily, by the library's model against the solver; the joint "
+            "effect of rows and columns, which a mask leaves out, is not in it",
         )
     return BudgetLine(
         "local-period approximation",

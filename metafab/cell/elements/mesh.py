@@ -65,8 +65,9 @@ def mesh_of(supercell: Supercell) -> Mesh:
     size = supercell.size_nm
     solid = np.all(size > 0.0, axis=-1)
     if np.any(size > period * (1.0 - _SMALLEST_GAP)):
-        expected = f"pillars that leave a gap of {100.0 * _SMALLEST_GAP:.0f} % of the period"
-        raise InputError.single("supercell", "size_nm", expected, f"{size.max():g} nm", "use meep")
+        expected = f"gaps between pillars of {100.0 * _SMALLEST_GAP:.0f} % of the period or more"
+        got = f"{np.min(period - size.max(axis=(0, 1))):g} nm beside the largest pillar"
+        raise InputError.single("supercell", "size_nm", expected, got, "use meep")
     half = 0.5 * np.where(solid[..., None], size, _EMPTY_SITE * period)
     middle_x = (np.arange(n_x) + 0.5 - n_x / 2) * period[0]
     middle_y = (np.arange(n_y) + 0.5 - n_y / 2) * period[1]

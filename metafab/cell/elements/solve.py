@@ -65,6 +65,12 @@ def supercell_orders(supercell: Supercell, numerics: ElementNumerics = ElementNu
     return SupercellOrders(supercell, supercell.propagating_orders("x"), t, error, time.perf_counter() - start)
 
 
+def require_treated(supercell: Supercell, numerics: ElementNumerics = ElementNumerics()) -> None:
+    """Raise, before anything is solved, the InputError that :func:`supercell_orders` would raise for a supercell."""
+    _require_one_index(supercell)
+    _feasible(supercell, numerics.resolutions)
+
+
 def solve_supercell(
     supercell: Supercell, polarisation: Polarisation, numerics: ElementNumerics = ElementNumerics()
 ) -> SupercellResponse:

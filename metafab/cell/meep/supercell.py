@@ -65,6 +65,12 @@ def estimate(supercell: Supercell, settings: SupercellSettings = SupercellSettin
     return Cost(round(pixels[0]), sum(pixels) * steps / _UPDATES_PER_S, pixels[0] * _BYTES_PER_PIXEL)
 
 
+def memory_bytes(supercell: Supercell, settings: SupercellSettings = SupercellSettings()) -> float:
+    """Expected memory of a run for one polarisation; InputError if the grid does not fit."""
+    job = plan(supercell, "x", settings).job
+    return float(job.n_x * job.n_y * job.n_z) / 2.0 ** len(job.mirrors) * _BYTES_PER_PIXEL
+
+
 def solve_supercell(
     supercell: Supercell,
     polarisation: Polarisation,

@@ -182,9 +182,9 @@ def fullwave_command(
     if output is not None:
         require_file_output(output)
     opened = load(library)
-    supercells = read_blocks(blocks, opened, solver)
     rcwa = ElementNumerics() if target_error is None else ElementNumerics(target_error)
     numerics = BlockNumerics(rcwa, tuple(pixels_per_period or BlockNumerics().pixels_per_period))
+    supercells = read_blocks(blocks, opened, solver, numerics)
     answers = []
     with open_work(workers) as (work, cost), work.processes() as executor:
         for found in solve_blocks(supercells, opened, solver, numerics, executor=executor, progress=work.progress):

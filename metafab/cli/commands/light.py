@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -27,6 +27,7 @@ from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
     from metafab.core.conventions import FloatArray
+    from metafab.optics import Psf
     from metafab.steps.job import Job
 
 
@@ -150,7 +151,17 @@ def psf_command(
         optics.save_psf(job, pair, layout, output, copy, printed, sizes)
     figures = optics.PairFigures.of(pair, light_at_um)
     announce(figures.warnings())
-    show(figures, json_, seconds=cost.seconds, file=output)
+    show(figures, json_, **neighbour_figures(job, pair), seconds=cost.seconds, file=output)
+
+
+def neighbour_figures(job: Job, pair: Psf) -> dict[str, Any]:
+    """Whether the model of neighbours gave the light of the pillars, and its error, which ``error`` does not hold."""
+    from metafab.steps import open_library
+
+    known = None if pair.neighbours is None else open_library(job).neighbours
+    if known is None:
+        return {"with_neighbours": False}
+    return {"with_neighbours": True, "neighbour_error": known.overall.error_alike}
 
 
 def _at_light(job: Job, wavelength_nm: float | None, angle_deg: tuple[float, float] | None) -> Job:

@@ -82,7 +82,9 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
         t[:, :, axis] = amplitude / np.sqrt(max(1.0, transmitted))
         norm = float(np.linalg.norm(local))
         steps = [float(np.linalg.norm(local - np.roll(local, 1, axis))) / norm for axis in (1, 0)]
-        error = float(np.max(known.error)) + max(0.0, 1.0 - 1.0 / np.sqrt(max(1.0, transmitted)))
+        # The library's error is of t itself, that of the answer relative to the field.
+        error = float(np.max(known.error)) * np.sqrt(local.size) / norm
+        error += max(0.0, 1.0 - 1.0 / np.sqrt(max(1.0, transmitted)))
         for direction in (0, 1):
             if supercell.shape[1 - direction] > 1:
                 error += _stated_error(neighbours.line(direction, light), direction, size_nm, local, corrections)

@@ -20,6 +20,11 @@ class TrainedLine:
     #: Coupling of a block's lines: free elements of K, shape (n_pairs,); None where no blocks were solved.
     coupling: ComplexArray | None = None
 
+    @property
+    def pays(self) -> bool:
+        """Whether the chain is not known to be worse on its held-out rows than the local-period approximation."""
+        return not self.statistics.error >= self.statistics.local_period_error
+
 
 @dataclass(frozen=True)
 class Neighbours:
@@ -68,8 +73,8 @@ class Neighbours:
 
     @property
     def pays(self) -> bool:
-        """Whether no chain is known to be worse on its held-out rows than the local-period approximation."""
-        return not any(line.statistics.error >= line.statistics.local_period_error for line in self.lines)
+        """Whether every chain pays (:attr:`TrainedLine.pays`)."""
+        return all(line.pays for line in self.lines)
 
     @property
     def summary(self) -> str:

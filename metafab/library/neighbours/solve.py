@@ -22,6 +22,8 @@ _POWER_STEPS = 20
 #: Longer lines are solved one by one, by the elimination of a sparse matrix: 200 sites in a thirtieth of the time. Rows
 #: of a training are shorter.
 _DENSE_SITES = 20
+#: Outputs of a long line whose taps are solved at once: 2000 sites of 12 modes would fill 0.8 GB several times over.
+_OUTPUTS_AT_ONCE = 64
 
 
 def uniform_field(model: LineModel, terms: FloatArray) -> ComplexArray:
@@ -88,7 +90,7 @@ def corrections_and_jacobian(
     by_own, by_side = flow[:, :half, :, :even], flow[:, before] + flow[:, after] * parity
     fields, jacobians = [], []
     for face in faces:
-        taps = _line_taps(model, terms, face, half)
+        taps = _line_taps(model, terms, face, range(half))
         outputs = _folded(taps, half, parity).reshape(lines, half, -1)
         fields.append(np.asarray(taps.reshape(lines, half, -1) @ a.reshape(lines, -1, 1))[..., 0])
         adjoint = (outputs @ inverse).reshape(lines, half, half, modes)
@@ -116,7 +118,8 @@ def line_gains(model: LineModel, terms: FloatArray) -> tuple[FloatArray, FloatAr
     matrix, source = _half_line(model, terms, sites)
     inverse = np.linalg.inv(matrix)
     a = (inverse @ source).reshape(lines, sites, -1)
-    adjoint = (_line_taps(model, terms, 1, sites).reshape(lines, sites, -1) @ inverse).reshape(lines, sites, sites, -1)
+    taps = _line_taps(model, terms, 1, range(sites)).reshape(lines, sites, -1)
+    adjoint = (taps @ inverse).reshape(lines, sites, sites, -1)
     squared = np.einsum("lknr,lns->l", np.abs(adjoint) ** 2, np.abs(a) ** 2, optimize=True)
     strongest, adjoint_inverse = np.asarray(inverse @ source), inverse.conj().swapaxes(1, 2)
     for _ in range(_POWER_STEPS):
@@ -128,8 +131,11 @@ def _gains_of_long(model: LineModel, terms: FloatArray) -> tuple[float, float]:
     """:func:`line_gains` of one line, shape (sites, terms): A is symmetric, so that its solutions for taps are rows."""
     sites, inverse = len(terms), _eliminated(model, terms)
     a = inverse.solve(_source(model, terms))
-    taps = _line_taps(model, terms[None], 1, sites).reshape(sites, -1)
-    adjoint = np.square(np.abs(inverse.solve(np.ascontiguousarray(taps.T)))).sum(axis=1)
+    adjoint = np.zeros(a.size)
+    for first in range(0, sites, _OUTPUTS_AT_ONCE):
+        outputs = range(first, min(first + _OUTPUTS_AT_ONCE, sites))
+        taps = _line_taps(model, terms[None], 1, outputs).reshape(len(outputs), -1)
+        adjoint += np.square(np.abs(inverse.solve(np.ascontiguousarray(taps.T)))).sum(axis=1)
     squared = adjoint.reshape(sites, -1).sum(axis=1) @ np.square(np.abs(a)).reshape(sites, -1).sum(axis=1)
     strongest = a
     for _ in range(_POWER_STEPS):
@@ -155,16 +161,16 @@ def _source(model: LineModel, terms: FloatArray) -> ComplexArray:
     return source.ravel()
 
 
-def _line_taps(model: LineModel, terms: FloatArray, face: int, half: int) -> ComplexArray:
-    """Rows q_m of the first ``half`` outputs of one face, shape (lines, half, sites, modes)."""
+def _line_taps(model: LineModel, terms: FloatArray, face: int, outputs: range) -> ComplexArray:
+    """Rows q_m of some outputs of one face, shape (lines, outputs, sites, modes)."""
     own, of_side = _faces(model)[face]
-    before, after = _next_sites(terms, half < terms.shape[1])
-    site, side = np.arange(half), terms @ of_side
-    taps = np.zeros((len(terms), half, terms.shape[1], model.shape.modes), dtype=np.complex128)
-    taps[:, site, site, : model.shape.even] += terms[:, :half] @ own
-    for m in range(half):
-        taps[:, m, before[m]] += side[:, before[m]]
-        taps[:, m, after[m]] += side[:, after[m]] * model.shape.parity
+    row, site, count = np.arange(len(outputs)), np.array(outputs), terms.shape[1]
+    side = terms @ of_side
+    taps = np.zeros((len(terms), row.size, count, model.shape.modes), dtype=np.complex128)
+    taps[:, row, site, : model.shape.even] += terms[:, site] @ own
+    for m, (before, after) in enumerate(zip((site - 1) % count, (site + 1) % count, strict=True)):
+        taps[:, m, before] += side[:, before]
+        taps[:, m, after] += side[:, after] * model.shape.parity
     return taps
 
 

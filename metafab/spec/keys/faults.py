@@ -27,6 +27,7 @@ _TYPES = {
     "bool_parsing": "true or false",
     "string_type": "a text in quotes",
     "tuple_type": "a list, in square brackets",
+    "list_type": "a list, in square brackets",
     "dataclass_type": "a table",
     "path_type": "the path of a file, as text in quotes",
 }

@@ -27,8 +27,12 @@ ROW = {"width_nm": [[120.0, 150.0, 180.0]], "length_nm": [[180.0, 150.0, 130.0]]
     ("blocks", "message"),
     [
         ([], "blocks"),
-        ([{"width_nm": [[120.0, 130.0]], "length_nm": [[120.0]]}], "rows of one length"),
-        ([{"width_nm": [[120.0], [130.0, 140.0]], "length_nm": [[120.0], [130.0, 140.0]]}], "rows of one length"),
+        ([{"width_nm": [[120.0, 130.0]], "length_nm": [[120.0]]}], "got lists of 1 x 2 to 2 and of 1 x 1 to 1 sizes"),
+        (
+            [{"width_nm": [[120.0], [130.0, 140.0]], "length_nm": [[120.0], [130.0, 140.0]]}],
+            "of 2 x 1 to 2 and of 2 x 1",
+        ),
+        ([{"width_nm": [120.0], "length_nm": [[120.0]]}], "width_nm[0]`: expected a list, in square brackets, got 120"),
         ([{"width_nm": [[-1.0]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
         ([{"width_nm": [["120"]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
         ([{"width_nm": [[float("nan")]], "length_nm": [[120.0]]}], "width_nm[0][0]"),
@@ -67,6 +71,27 @@ def test_sizes_that_the_library_does_not_hold_are_refused_before_any_is_solved(
     with pytest.raises(InputError) as refused:
         read_blocks(path, smooth_library, solver)
     assert message in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("solver", "size_nm", "message"),
+    [
+        ("rcwa", np.linspace(110.0, 240.0, 100)[None], "blocks[1]`: expected a supercell of at most 5000 functions"),
+        ("rcwa", np.array([[348.0, 150.0]]), "blocks[1]`: expected gaps between pillars of 1 % of the period or more"),
+        ("meep", np.random.default_rng(1).uniform(100.0, 250.0, (40, 40)), "for 40 x 40 pillars at 24 pixels a period"),
+    ],
+)
+def test_blocks_that_a_solver_does_not_treat_are_refused_by_number_before_any_is_solved(
+    smooth_library: Library, tmp_path: Path, solver: Solver, size_nm: np.ndarray, message: str
+) -> None:
+    path = tmp_path / "blocks.json"
+    refused = {"width_nm": size_nm.tolist(), "length_nm": np.full(size_nm.shape, 150.0).tolist()}
+    path.write_text(json.dumps({"blocks": [ROW, refused]}), encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        read_blocks(path, smooth_library, solver)
+    assert message in str(error.value) and str(path) in str(error.value)
+    path.write_text(json.dumps({"blocks": [ROW]}), encoding="utf-8")
+    assert len(read_blocks(path, smooth_library, solver)) == 1
 
 
 def _solved(

@@ -2,7 +2,9 @@
 
 The price of semi-global matching for a change of level makes stairs of a slope, and where there is little texture the
 levels follow noise. A plane through the levels about a pixel has less of both. Levels beyond an outline are outliers of
-the plane on this side, which biweights leave out.
+the plane on this side, which biweights leave out. Small steps are within their tolerance: once the light is known
+sharp, pixels of other light than the pixel's own count less, too (joint bilateral filter; Petschnigg et al., ACM Trans.
+Graph. 23, 664, 2004).
 """
 
 from __future__ import annotations
@@ -20,11 +22,20 @@ _ROUNDS = 3
 _SAMPLES = 8
 #: Distance from the plane, in tolerances, from which a sample is left out: it would weigh 1 % of one on the plane.
 _OUTLIER = 3.0
+#: Difference of the light's logarithm at which a sample's weight falls to a half. From 0.2 to 0.5 the errors of nine
+#: pictures differ by 1 %; without it, they are 0.4 to 2 % larger.
+_LIGHT = 0.3
 #: Ridge on slopes, as a share of the sum of weights, per squared pixel: samples on one line have no slope across it.
 _RIDGE = 1e-3
 
 
-def smoothed_levels(level: FloatArray, weight: NDArray[np.float32], deviation: float, tolerance: float) -> FloatArray:
+def smoothed_levels(
+    level: FloatArray,
+    weight: NDArray[np.float32],
+    deviation: float,
+    tolerance: float,
+    light: NDArray[np.float32] | None = None,
+) -> FloatArray:
     """Levels at each pixel of the planes about it: shape (n_y, n_x).
 
     Args:
@@ -33,11 +44,13 @@ def smoothed_levels(level: FloatArray, weight: NDArray[np.float32], deviation: f
         deviation: standard deviation of the Gaussian that weights pixels by their distance, pixels. Pixels within
             5/3 of it are sampled.
         tolerance: distance from the plane at which a pixel's weight falls to a quarter, levels.
+        light: shape (n_y, n_x), logarithm of the sharp light; without, pixels of any light count alike.
     """
     reach = max(1, round(5.0 / 3.0 * deviation))
     stride = max(1, round(reach / _SAMPLES))
     out = np.empty(level.shape)
-    arrays = np.ascontiguousarray(level, dtype=np.float64), np.ascontiguousarray(weight, dtype=np.float64)
+    light = np.zeros(level.shape, dtype=np.float32) if light is None else light
+    arrays = [np.ascontiguousarray(array, dtype=np.float64) for array in (level, weight, light)]
     spread(_fit_planes, level.shape[0], *arrays, reach // stride, stride, deviation, tolerance, out)
     return out
 
@@ -48,6 +61,7 @@ def _fit_planes(
     stop: int,
     level: FloatArray,
     weight: FloatArray,
+    light: FloatArray,
     samples: int,
     stride: int,
     deviation: float,
@@ -75,7 +89,9 @@ def _fit_planes(
                         away = (level[row, column] - (value + slope_y * y + slope_x * x)) * scale
                         if abs(away) > _OUTLIER:
                             continue
-                        w = weight[row, column] * along * distance_weight[n + samples] / (1.0 + away * away) ** 2
+                        other = (light[row, column] - light[i, j]) / _LIGHT
+                        w = weight[row, column] * along * distance_weight[n + samples]
+                        w /= (1.0 + away * away) ** 2 * (1.0 + other * other)
                         at = w * level[row, column]
                         s += w
                         sy += w * y

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.decode.confidence import RIGHT_WITHIN
-from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import parabolic_peak
-from metafab.decode.matching.levels import light_steps
+from metafab.decode.matching.levels import light_steps, log_light
 from metafab.decode.matching.pooling import window_maxima, window_means
 from metafab.decode.matching.semi_global import summed_costs
 from metafab.decode.segmentation.continuous.local_planes import smoothed_levels
@@ -39,6 +39,8 @@ _MOSTLY_NOISE = 0.5
 #: Side of the window in which a pixel's light is compared with more around it, downsampled pixels, and share of the
 #: mean light that is added to it.
 _LIGHT_WINDOW, _ADDED_LIGHT = 3, 0.02
+#: Side of the window over which gradients of the two sharp images are compared, downsampled pixels.
+_GRADIENT_WINDOW = 3
 #: Standard deviation of the Gaussian of the planes about each pixel, frame pixels, and their tolerance, levels. With 30
 #: in place of 24 px, hills of 60 px are 3 % farther off; with 18, pictures of planes are 15 %.
 _SMOOTHED_PX, _TOLERANCE = 24.0, 1.5
@@ -57,6 +59,10 @@ class Surface:
     faintness: NDArray[np.float32]
     #: Shape (n_y, n_x), logarithm of the light about the pixel over the most within a window; 0 while light is unknown.
     dimness: NDArray[np.float32]
+    #: Shape (n_y, n_x), correlation of the sharp images' gradients about the pixel: 1 for texture, 0 for noise; 1 while
+    #: light is unknown.
+    coherence: NDArray[np.float32]
+    frame_coherence: float  #: Its mean over the lit pixels.
 
     @property
     def plain(self) -> NDArray[np.bool_]:
@@ -88,22 +94,26 @@ def matched_surface(
     texture = texture_energy(prepared, volume)
     counts, jump = texture / (texture + np.float32(FAINT)), np.full((2, 1, 1), _JUMP, dtype=np.float32)
     faintness, dimness = np.float32(1.0) - counts, np.zeros(volume.shape, dtype=np.float32)
+    coherence, of_frame, light_logarithm = np.ones(volume.shape, dtype=np.float32), 1.0, None
     if before_per_m is not None and light is not None:
-        dimness = dimmer_than_around(light, window)
+        dimness, coherence = dimmer_than_around(light, window), gradient_coherence(light)
+        of_frame = float(coherence[prepared.lit].mean()) if prepared.lit.any() else 0.0
+        light_logarithm = log_light(light.sum(axis=0))
         before = (before_per_m - levels[0]) / (levels[1] - levels[0])
         counts = counts / (np.float32(1.0) + np.maximum(_at(misfit, before), np.float32(0.0)))
         jump = jump_prices(light)
     total = summed_costs(cost * counts[..., None], _CHANGE, jump)
     level = _valley(total, misfit)
     weight = np.maximum(_curvature(misfit, level), _LEAST_CURVATURE) * counts
-    level = smoothed_levels(level, weight, _SMOOTHED_PX / prepared.downsampling.step, _TOLERANCE)
+    level = smoothed_levels(level, weight, _SMOOTHED_PX / prepared.downsampling.step, _TOLERANCE, light_logarithm)
     level = np.clip(level, 0.0, levels.size - 1.0)
     vergence = levels[0] + (levels[1] - levels[0]) * level
     near = np.abs(levels / vergence[..., None] - 1.0) <= RIGHT_WITHIN
     # The nearest level may be farther than that from the pixel's own.
     np.put_along_axis(near, np.rint(level).astype(np.intp)[..., None], True, axis=-1)
     within, beyond = (total.min(axis=-1, where=which, initial=np.inf) for which in (near, ~near))
-    return Surface(vergence, _at(misfit, level), _at(cost, level), beyond - within, faintness, dimness)
+    misfits, margin = (_at(misfit, level), _at(cost, level)), beyond - within
+    return Surface(vergence, *misfits, margin, faintness, dimness, coherence, of_frame)
 
 
 def dimmer_than_around(light: NDArray[np.float32], window: int) -> NDArray[np.float32]:
@@ -118,6 +128,21 @@ def dimmer_than_around(light: NDArray[np.float32], window: int) -> NDArray[np.fl
     both = np.maximum(light.mean(axis=0), np.float32(0.0))
     both = window_means(both + np.float32(_ADDED_LIGHT) * both.mean() + np.float32(1e-9), _LIGHT_WINDOW)
     return np.asarray(np.log(both / window_maxima(both, window)))
+
+
+def gradient_coherence(light: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Correlation of the gradients of both sharp images in a window about each pixel: shape (n_y, n_x), -1 to 1.
+
+    Both images show a texture, and each has noise of its own. The blur of an outline, in which the twins agree far
+    beyond it, is not in the sharp images: where they show noise, the depth is that of what stands nearby.
+
+    Args:
+        light: shape (2, n_y, n_x), sharp light of both images.
+    """
+    gradients = np.stack([np.gradient(light, axis=axis) for axis in (1, 2)])
+    x, y = gradients[:, 0], gradients[:, 1]
+    sums = np.stack([(one * other).sum(axis=0) for one, other in ((x, y), (x, x), (y, y))])
+    return np.asarray(correlation(window_means(sums.astype(np.float32), _GRADIENT_WINDOW)))
 
 
 def jump_prices(light: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -78,3 +78,17 @@ def test_coupled_lines_that_send_out_more_light_than_arrives_are_solved_uncouple
             refused += 1
     assert believed
     assert refused
+
+
+def test_the_error_of_a_dim_pillar_is_the_library_s_over_its_own_field(smooth_library: Library) -> None:
+    """Tables of t made a hundred times dimmer: the same absolute error is a hundred times as much of the field."""
+    models = [initial_model(LineShape(2, 1, 1), SPAN, SPAN, seed) for seed in (1, 2)]
+    along, across = (TrainedLine(each, LineStatistics()) for each in models)
+    bright = replace(smooth_library, neighbours=Neighbours((along, along), (across, across)))
+    dim = replace(bright, t_xx=0.01 * bright.t_xx, t_yy=0.01 * bright.t_yy)
+    pillar = Supercell(pillar_cell(bright.unit_cell, 0.0, 0.0), np.array([[[150.0, 180.0]]]))
+    for library in (bright, dim):
+        known = library.surface(np.array(150.0), np.array(180.0))
+        found = solve_supercell(library, pillar)
+        norm = np.sqrt(0.5 * np.sum(np.abs([known.t_xx, known.t_yy]) ** 2))
+        assert found.error == pytest.approx(float(known.error) / norm, rel=1e-6)

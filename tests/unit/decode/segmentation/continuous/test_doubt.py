@@ -15,9 +15,8 @@ COLUMN = np.broadcast_to(np.arange(60), SHAPE)
 
 def surface(near_per_m: float) -> Surface:
     """Two sides of an outline between columns 29 and 30, one of 2 / m, that the twins fit to their noise."""
-    none = np.zeros(SHAPE, dtype=np.float32)
-    vergence, margin = np.where(COLUMN < 30, near_per_m, 2.0), np.full(SHAPE, 10.0, dtype=np.float32)
-    return Surface(vergence, none, none, margin, none, none)
+    none, ones = np.zeros(SHAPE, dtype=np.float32), np.ones(SHAPE, dtype=np.float32)
+    return Surface(np.where(COLUMN < 30, near_per_m, 2.0), none, none, 10.0 * ones, none, none, 0.9 * ones, 0.8)
 
 
 def test_pixels_near_an_outline_are_doubted() -> None:
@@ -41,7 +40,8 @@ def test_misfit_and_another_depth_of_equal_cost_raise_doubt() -> None:
         replace(seen, best_misfit=seen.best_misfit + 1.0),
         replace(seen, margin=0.0 * seen.margin),
         replace(seen, dimness=seen.dimness - 1.0),
-        replace(seen, faintness=seen.faintness + 0.4),
+        replace(seen, coherence=seen.coherence - 0.5),
+        replace(seen, frame_coherence=0.5),
     ):
         assert (right_depth(doubtful, 3) < clear).all()
     hopeless = replace(seen, misfit=seen.misfit + 3.0, best_misfit=seen.best_misfit + 3.0, margin=0.0 * seen.margin)

@@ -39,3 +39,15 @@ def test_pixels_count_by_their_weight() -> None:
     weight = np.where(wrong, 1e-3, 1.0).astype(np.float32)
     # Of two equal numbers, the wrong ones hold 1e-3 of the weight.
     assert np.abs(smoothed_levels(level, weight, 3.0, 1.0) - 10.0)[~wrong].max() < 2e-3
+
+
+def test_a_small_step_stays_where_the_light_changes() -> None:
+    # Within the tolerance, no weight of the levels tells the sides apart.
+    level, dark, bright = np.where(COLUMN < 30, 10.0, 11.0), np.float32(0.0), np.float32(1.5)
+    light = np.where(COLUMN < 30, dark, bright)
+    beside = np.abs(COLUMN - 29.5) < 3.0
+    blurred, kept = (np.abs(smoothed_levels(level, EVEN, 4.0, 2.0, one) - level) for one in (None, light))
+    # The other side weighs 1 / (1 + (1.5 / 0.3)^2) = 1/26 as much.
+    assert kept[beside].mean() < 0.2 * blurred[beside].mean()
+    even = np.full(SHAPE, bright)
+    np.testing.assert_array_equal(smoothed_levels(level, EVEN, 4.0, 2.0, even), smoothed_levels(level, EVEN, 4.0, 2.0))

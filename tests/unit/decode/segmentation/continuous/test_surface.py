@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 
 from metafab.decode.matching.cost_volume import CostVolume
-from metafab.decode.segmentation.continuous.surface import jump_prices, matched_surface
+from metafab.decode.segmentation.continuous.surface import (
+    gradient_coherence,
+    jump_prices,
+    matched_surface,
+)
 
 NODES = np.linspace(1.5, 4.0, 13)
 SHAPE = (50, 70)
@@ -72,3 +76,17 @@ def test_dark_pixels_have_no_infinite_edges() -> None:
     assert np.isfinite(jump_prices(light)).all()
     light[:, 3:] = 100.0
     assert np.isfinite(jump_prices(light)).all()
+
+
+def test_coherence_is_that_of_texture_in_both_images() -> None:
+    rng = np.random.default_rng(3)
+    texture, noise = 300.0 * rng.normal(size=SHAPE), 30.0 * rng.normal(size=(2, *SHAPE))
+    # The left half shows a texture, twice as bright in one image; the right half noise alone.
+    light = np.array([2.0, 1.0])[:, None, None] * (2000.0 + np.where(COLUMN < 35, texture, 0.0)) + noise
+    coherence = gradient_coherence(light.astype(np.float32))
+    left, right = coherence[:, :32], coherence[:, 38:]
+    # Noise has a hundredth of the texture's variance in one image, a four-hundredth in the other: 1 - 0.006.
+    assert left.mean() == pytest.approx(0.994, abs=0.003)
+    # Two gradients at nine pixels that overlap: fewer than 18 independent samples.
+    assert abs(right.mean()) < 0.03 and right.std() < 0.4
+    assert np.isfinite(gradient_coherence(np.zeros((2, 6, 6), dtype=np.float32))).all()
