@@ -78,7 +78,7 @@ class ReadBack:
             "off the lattice": self.off_site.count,
             "off the grid": self.off_grid.count,
             "at a site that has one already": self.duplicates.count,
-            **{kind: left.count for kind, left in self.foreign.items()},
+            **{f"of the kind {kind}": left.count for kind, left in self.foreign.items()},
         }
         got = ", ".join(f"{count} {where}" for where, count in unplaced.items() if count)
         if got:

@@ -250,9 +250,8 @@ def _light(run: RunFolder) -> Iterator[Plan]:
     size = (1.15 * psf.shown_depths(pair).size + 0.4, 2.66)
     both = partial(psf.pair_over_depth, pair, arrows=run.has_lobe)
     yield Plan("psf_pair", "PSF pair over depth", both, size, (0.3, 0.1, 0.05, 0.3))
-    yield Plan("psf_orientation", "Orientation over depth", partial(psf.orientation, pair, ideal=ideal))
-    peak = partial(psf.peak, pair, ideal=ideal, source=run.psf_source)
-    yield Plan("psf_peak", "Peak irradiance over depth", peak)
+    if pair.depth_m.size > 1:
+        yield from _over_depth(run, pair, ideal)
     if merit is not None and merit.focus is not None:
         paint = partial(psf.focus_section, merit.focus)
         yield Plan("psf_focus", "Cross-sections of the focus, and of an ideal flat lens", paint)
@@ -270,6 +269,14 @@ def _light(run: RunFolder) -> Iterator[Plan]:
         for p in POLARISATIONS:
             paint = partial(psf.over_field, pair, polarisation=p)
             yield Plan(f"psf_field_{p}", f"PSF of {p} polarisation over the field of view", paint, (4.0, 3.6))
+
+
+def _over_depth(run: RunFolder, pair: Psf, ideal: Psf | None) -> Iterator[Plan]:
+    """Curves over several depths; a focus on its image point has no orientation."""
+    if run.has_lobe:
+        yield Plan("psf_orientation", "Orientation over depth", partial(psf.orientation, pair, ideal=ideal))
+    peak = partial(psf.peak, pair, ideal=ideal, source=run.psf_source)
+    yield Plan("psf_peak", "Peak irradiance over depth", peak)
 
 
 def _modulation(pair: Psf, merit: MeritFigures | None, source: str) -> Plan:

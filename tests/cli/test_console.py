@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import json
 import math
@@ -26,6 +27,7 @@ from metafab.core.errors import InputError, MetafabError, MissingToolError, Solv
 from metafab.core.parallel.progress import silent
 from metafab.steps import RunSummary
 from metafab.steps.exposure import PrintedFigures
+from metafab.steps.summary import UNCHANGED, SkippedStep
 from tests.closed_form_run import run_summary
 from tests.conftest import MainJob
 from tests.main_job import SMALL, metafab
@@ -153,28 +155,37 @@ def test_debug_shows_the_traceback_before_the_message(
     assert "\nmetafab: " in said
 
 
+def _refuse_to_write(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """Exit code of the program with ``arguments``, ``new`` among them, on a disk that refuses the design."""
+
+    def write_new(name: str, kind: str, folder: Path, *further: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder / name))
+
+    monkeypatch.setattr("metafab.spec.write_new", write_new)
+    monkeypatch.setattr(sys, "argv", ["metafab", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        entry.main()
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
 def test_a_failure_names_the_work_the_file_and_the_remedy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    taken = tmp_path / "taken"
-    taken.write_text("a file")
-    monkeypatch.setattr(sys, "argv", ["metafab", "new", "lens", "--kind", "metalens", "-o", str(taken)])
-    with pytest.raises(SystemExit) as ended:
-        entry.main()
+    assert _refuse_to_write(monkeypatch, "new", "lens", "--kind", "metalens", "-o", str(tmp_path)) == 1
     said = capsys.readouterr().err
-    assert ended.value.code == 1
     assert len(said.strip().splitlines()) == 1
-    for part in ("FileExistsError", str(taken), "`metafab new`", "name another path with `-o`"):
+    for part in ("OSError", str(tmp_path / "lens"), "`metafab new`", "free space on the disk"):
         assert part in said
 
 
-def test_debug_is_an_option_of_the_program(tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("a file")
-    call = ["new", "lens", "--kind", "metalens", "-o", str(tmp_path / "taken")]
-    for options, begins in (([], "metafab: FileExistsError"), (["--debug"], "Traceback")):
-        answer = metafab(*options, *call, cwd=tmp_path)
-        assert answer.code == 1
-        assert answer.stderr.startswith(begins)
+@pytest.mark.parametrize(("options", "begins"), [([], "metafab: OSError"), (["--debug"], "Traceback")])
+def test_debug_is_an_option_of_the_program(
+    options: list[str], begins: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("METAFAB_DEBUG", "")  # restored after the option has set it
+    assert _refuse_to_write(monkeypatch, *options, "new", "lens", "--kind", "metalens", "-o", str(tmp_path)) == 1
+    assert capsys.readouterr().err.startswith(begins)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -245,6 +256,18 @@ def test_a_run_is_told_in_a_dozen_lines_and_names_its_report(tmp_path: Path) -> 
     assert "library error" not in headlines(unstated, tmp_path)
     unprinted = replace(summary, exposure=PrintedFigures(math.nan, math.nan, 7213, 1e-4))
     assert headlines(unprinted, tmp_path)["printed sizes"] == "no pillar prints with one dose"
+
+
+def test_a_run_that_skips_steps_says_so_and_counts_only_its_own_time(tmp_path: Path) -> None:
+    summary = replace(run_summary(), skipped=())
+    assert "skipped" not in headlines(summary, tmp_path)
+    step, seconds = next(iter(summary.seconds.items()))
+    unneeded = SkippedStep("lights", "the design serves one wavelength")
+    lines = headlines(replace(summary, skipped=(SkippedStep(step, UNCHANGED, seconds), unneeded)), tmp_path)
+    assert lines["skipped"] == f"1 of the steps, unchanged, which took {seconds:.3g} s when they ran"
+    assert lines["time"].startswith(f"{sum(summary.seconds.values()) - seconds:.3g} s")
+    every = tuple(SkippedStep(step, UNCHANGED, seconds) for step, seconds in summary.seconds.items())
+    assert headlines(replace(summary, skipped=every), tmp_path)["time"].startswith("0 s")
 
 
 def test_only_a_lobe_that_turns_has_a_rotation(main_job: MainJob, tmp_path: Path) -> None:

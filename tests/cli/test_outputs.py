@@ -55,6 +55,44 @@ def test_the_same_without_a_name_for_the_result(folder: Path) -> None:
     assert "`output`: expected the name of a file, got the folder decoded.h5" in answer.stderr
 
 
+#: Commands of results that are one file, and of results that are a folder of files.
+ONE_FILE = {
+    **{name: COMMANDS[name] for name in ("psf", "library build", "decode")},
+    "library show": ["library", "show", "empty.h5"],
+    "propose": ["propose", "--range-m", "1", "2", "--aperture-um", "100"],
+    "tolerance": ["tolerance", "empty.h5", "--design", str(SMALL)],
+    "exposure": ["expose", "empty.h5", "--design", str(SMALL), "-o", "folder.json"],
+}
+FOLDERS = {
+    "run": ["run", str(SMALL)],
+    "layout": ["layout", str(SMALL)],
+    "drc": ["drc", "empty.h5", "--design", str(SMALL)],
+    "expose": ["expose", "empty.h5", "--design", str(SMALL), "--correct"],
+    "stokes": ["stokes", str(SMALL)],
+    "compare": ["compare", str(SMALL)],
+    "new": ["new", "lens", "--kind", "metalens"],
+    "benchmark": ["benchmark", "cell"],
+}
+
+
+@pytest.mark.parametrize("command", ONE_FILE.values(), ids=ONE_FILE)
+def test_a_folder_is_no_place_for_a_file(command: list[str], folder: Path) -> None:
+    for name in ("folder.h5", "folder.json"):
+        (folder / name).mkdir()
+    answer = metafab(*command, *(() if "-o" in command else ("-o", "folder.h5")), cwd=folder)
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "`output`: expected the name of a file, got the folder folder." in answer.stderr
+
+
+@pytest.mark.parametrize("command", FOLDERS.values(), ids=FOLDERS)
+def test_a_file_is_no_place_for_a_folder(command: list[str], folder: Path) -> None:
+    before = sorted(folder.iterdir())
+    answer = metafab(*command, "-o", "empty.csv", cwd=folder)
+    assert (answer.code, answer.stdout) == (2, "")
+    assert "`output`: expected a folder, old or new, got the file empty.csv; name another" in answer.stderr
+    assert sorted(folder.iterdir()) == before
+
+
 @pytest.mark.skipif(not Path("/proc/version").is_file(), reason="needs a folder in which not even root can write")
 def test_rights_alone_do_not_open_a_place() -> None:
     with pytest.raises(InputError, match="can be written"):

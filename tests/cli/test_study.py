@@ -48,3 +48,11 @@ def test_what_cannot_be_served_exits_with_2(arguments: tuple[str, ...], word: st
     assert answer.code == 2
     assert word in answer.stderr
     assert answer.stdout == ""
+
+
+def test_a_range_that_a_lens_cannot_measure_is_told() -> None:
+    """The second aperture is that of the first in millimetres."""
+    for aperture, is_told in (("50000", False), ("50", True)):
+        answer = metafab("propose", "--range-m", "150", "250", "--aperture-um", aperture)
+        assert answer.code == 0
+        assert ("is `--aperture-um` in micrometres?" in answer.stderr) == is_told

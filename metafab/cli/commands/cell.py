@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -14,7 +14,11 @@ from metafab.core.errors import Fault, InputError
 from metafab.core.storage.tables import optional
 
 if TYPE_CHECKING:
+    from metafab.library.use.check import LibraryCheck
     from metafab.spec import UnitCell
+
+#: Sizes of a check that its text lists.
+_SHOWN_SIZES = 10
 
 
 @dataclass(frozen=True)
@@ -155,7 +159,10 @@ def library_check(
     cluster: Cluster = None,
     json_: Json = False,
 ) -> None:
-    """Validate a library: solve held-out sizes again with the other solver or a finer one."""
+    """Validate a library: solve held-out sizes again with the other solver or a finer one.
+
+    The text lists the ten sizes with the largest errors, --json all of them.
+    """
     from metafab import library
 
     opened = library.load(file)
@@ -164,7 +171,13 @@ def library_check(
             opened, against=against, samples=samples, seed=seed, executor=executor, progress=work.progress
         )
     announce(result.warnings())
-    show(result, json_)
+    show(result if json_ else with_worst_sizes(result), json_)
+
+
+def with_worst_sizes(result: LibraryCheck) -> LibraryCheck:
+    """The check with its ten sizes of the largest error alone, worst first, so that its figures stay on the screen."""
+    worst = sorted(result.sizes, key=lambda size: -size.abs_error)
+    return replace(result, sizes=tuple(worst[:_SHOWN_SIZES]))
 
 
 @library_app.command("import")

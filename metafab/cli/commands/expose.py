@@ -35,7 +35,12 @@ def expose_command(
         typer.Option("--dose-datatypes", help="Also write doses.gds, whose datatypes are 1000 times the dose (Raith)."),
     ] = False,
     copy: Copy = 1,
-    output: Output = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--output", metavar="PATH", help="Folder of the corrected mask, or .json file of the size errors."
+        ),
+    ] = None,
     workers: Workers = None,
     json_: Json = False,
 ) -> None:
@@ -46,6 +51,7 @@ def expose_command(
     DIR/corrected. With -o DIR/exposure.json in a run folder, the next report shows the size errors;
     with --correct, before and after the correction.
     """
+    from metafab.core.storage.files import require_file_output, require_folder_output
     from metafab.spec import load_design
     from metafab.steps.exposure import (
         copy_figures,
@@ -64,6 +70,10 @@ def expose_command(
     if folder is not None and not correct:
         expected = "a name ending with .json, or `--correct` with a folder"
         raise InputError.single("--output", "output", expected, f"{folder} without a correction", "add `--correct`")
+    if folder is not None:
+        require_folder_output(folder)
+    if record is not None:
+        require_file_output(record, [layout, design])
     spec = load_design(design)
     process = None if spec.process is None else spec.process.exposure
     by_dose = folder is not None and process is not None and process.correction == "dose"

@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from metafab.cli.app import Cluster, Copy, DesignFile, DesignOption, Json, LayoutFile, Output, Workers, app, open_job
+from metafab.cli.app import (
+    Cluster,
+    Copy,
+    DesignFile,
+    DesignOption,
+    Json,
+    LayoutFile,
+    OutputFolder,
+    Workers,
+    app,
+    open_job,
+)
 from metafab.cli.console import announce, exit_on_violations, open_work, show
 from metafab.core.errors import InputError
 
@@ -19,7 +30,7 @@ if TYPE_CHECKING:
 @app.command("layout")
 def layout_command(
     design: DesignFile,
-    output: Output = None,
+    output: OutputFolder = None,
     plan: Annotated[bool, typer.Option("--plan", help="Only estimate seconds, bytes and core-hours.")] = False,
     workers: Workers = None,
     cluster: Cluster = None,
@@ -73,7 +84,7 @@ def drc_command(
         typer.Option(help="Check on the lattice, on the file's rectangles, or with KLayout's polygon engine."),
     ] = "lattice",
     copy: Copy = 1,
-    output: Output = None,
+    output: OutputFolder = None,
     workers: Workers = None,
     cluster: Cluster = None,
     json_: Json = False,

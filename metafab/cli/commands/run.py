@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metafab.cli.again import pages
-from metafab.cli.app import Cluster, DesignFile, Json, Output, Workers, app, open_job
+from metafab.cli.app import Cluster, DesignFile, Json, OutputFolder, Workers, app, open_job
 from metafab.cli.console import announce, coverage_warning, exit_on_violations, open_work, show
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def new_command(
 @app.command("run")
 def run_command(
     design: DesignFile,
-    output: Output = None,
+    output: OutputFolder = None,
     workers: Workers = None,
     cluster: Cluster = None,
     skip: Annotated[
@@ -215,8 +215,19 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
         lines["rotation"] = f"{summary.merit.rotation_deg:.1f} degrees over the depths"
     if summary.decode is not None and summary.decode.nmae is not None:
         lines["depth error"] = f"{100.0 * summary.decode.nmae:.2g} % mean"
-    lines["time"] = f"{sum(summary.seconds.values()):.3g} s in all steps"
-    return lines | pages(folder)
+    return lines | _times(summary) | pages(folder)
+
+
+def _times(summary: RunSummary) -> dict[str, str]:
+    """Time of the steps that ran, and of those that were skipped because nothing had changed, when they ran last."""
+    from metafab.steps.summary import UNCHANGED
+
+    saved_s = [entry.saved_s or 0.0 for entry in summary.skipped if entry.why == UNCHANGED]
+    spent_s = sum(summary.seconds.values()) - sum(saved_s)
+    lines = {"time": f"{max(spent_s, 0.0):.3g} s in all steps that ran"}
+    if saved_s:
+        lines["skipped"] = f"{len(saved_s)} of the steps, unchanged, which took {sum(saved_s):.3g} s when they ran"
+    return lines
 
 
 def _library_error(library: LibraryFigures, layout: LayoutFigures | None) -> dict[str, str]:
@@ -230,7 +241,7 @@ def _library_error(library: LibraryFigures, layout: LayoutFigures | None) -> dic
 @app.command("stokes")
 def stokes_command(
     design: DesignFile,
-    output: Output = None,
+    output: OutputFolder = None,
     row_angle_deg: Annotated[
         float | None,
         typer.Option(min=0.5, max=40.0, help="Angle between rows of images, degrees [default: the split angle]."),

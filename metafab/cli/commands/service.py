@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from metafab.cli.app import Json, Output, app
+from metafab.cli.app import Json, OutputFolder, app
 from metafab.cli.console import progress_bars, show
 
 
@@ -26,7 +26,7 @@ def report_command(
 @app.command("benchmark")
 def benchmark_command(
     room: Annotated[str, typer.Argument(help="A room, end_to_end, or all.")] = "all",
-    output: Output = None,
+    output: OutputFolder = None,
     quick: Annotated[bool, typer.Option("--quick", help="Run fewer and smaller cases.")] = False,
     only: Annotated[
         list[str] | None,

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from metafab.cli.app import DesignFile, Json, Output, app, open_job, require_finite, require_positive
-from metafab.cli.console import open_work, show
+from metafab.cli.app import DesignFile, Json, Output, OutputFolder, app, open_job, require_finite, require_positive
+from metafab.cli.console import announce, open_work, show
 from metafab.core.errors import InputError
 
 
@@ -58,6 +58,9 @@ def propose_command(
 
         report.proposal_figure(proposals, output)
     best, *others = proposals
+    if best.relative_error > 1.0:
+        least = f"the least error is {best.relative_error:.2g} times the depth"
+        announce([f"{least}: such a lens cannot measure this range; is `--aperture-um` in micrometres?"])
     alternatives = [Alternative(p.zones, p.exponent, p.rotation_deg, p.relative_error) for p in others]
     show(best, json_, relative_error=best.relative_error, alternatives=alternatives, file=output)
 
@@ -65,7 +68,7 @@ def propose_command(
 @app.command("compare")
 def compare_command(
     design: DesignFile,
-    output: Output = None,
+    output: OutputFolder = None,
     planes: Annotated[int, typer.Option(min=1, max=1000, metavar="N", help="Photographs at each depth.")] = 6,
     contrast: Annotated[float, typer.Option(min=0.01, max=1.0, help="Contrast of the texture, rms over mean.")] = 0.25,
     json_: Json = False,

@@ -61,6 +61,13 @@ def require_file_output(path: Path, read: Iterable[Path] = ()) -> None:
         raise InputError.single("--output", "output", "the name of a file", f"the folder {path}", "name a file in it")
 
 
+def require_folder_output(path: Path, read: Iterable[Path] = ()) -> None:
+    """Refuse the name of a file for a result that is a folder, and what :func:`require_output` refuses."""
+    require_output(path, read)
+    if path.exists() and not path.is_dir():
+        raise InputError.single("--output", "output", "a folder, old or new", f"the file {path}", "name another")
+
+
 def require_output(path: Path, read: Iterable[Path] = ()) -> None:
     """Refuse the place of a result before the work: InputError for one of the files ``read``, or a closed place.
 

@@ -64,7 +64,7 @@ def option_fault(error: ValidationError, otherwise: str) -> str:
     """Return what is wrong with a number on the command line; ``otherwise`` for errors of other kinds."""
     item = error.errors(include_url=False)[0]
     if item["type"] not in _TYPES and not item["type"].startswith(("greater", "less")):
-        return otherwise
+        return otherwise.removeprefix("Value error, ")
     return f"expected {_expected(item['type'], item['msg'], item.get('ctx', {}))}, got {item['input']}"
 
 

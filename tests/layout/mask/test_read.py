@@ -262,3 +262,16 @@ def test_a_file_is_read_once_until_it_changes(tiny_design: Design, tiny_files: d
     path.write_bytes(b"damaged")
     with pytest.raises(InputError):
         mask.read_shared(path, tiny_design)
+
+
+def test_shapes_that_are_no_pillars_are_refused_with_their_number_and_kind(
+    tiny_design: Design, tiny_files: dict[str, Path], tmp_path: Path
+) -> None:
+    library, other = gdstk.read_gds(tiny_files["gds"]), tmp_path / "other.gds"
+    triangle = gdstk.Polygon([(0.0, 0.0), (0.1, 0.0), (0.0, 0.1)], layer=tiny_design.mask.layer)
+    library.top_level()[0].add(triangle, triangle.copy().translate(1.0, 0.0))
+    library.write_gds(other)
+    read_back = mask.read(other, tiny_design)
+    (kind,) = read_back.foreign
+    with pytest.raises(InputError, match=rf"got 2 of the kind {kind}; their light"):
+        read_back.require_pillars_alone("their light cannot be simulated")

@@ -87,6 +87,8 @@ def test_every_size_is_known_to_the_asked_error(paper_library: Library) -> None:
     assert paper_library.error.max() <= paper_library.unit_cell.sweep.target_error
     assert paper_library.statistics.sizes_beyond_target == 0
     assert paper_library.statistics.points_solved < 0.2 * 76 * 77 / 2
+    few, many = library.expected_cells(paper_library.unit_cell)
+    assert few <= paper_library.statistics.points_solved <= many
 
 
 def test_a_finer_solver_agrees_at_held_out_sizes_between_the_grid(paper_library: Library) -> None:

@@ -199,6 +199,26 @@ def test_one_depth_alone_is_not_drawn_over_depth(full_run: RunFolder) -> None:
     assert "<label hidden>" not in several
 
 
+@pytest.mark.parametrize(
+    ("terms", "depths", "names"),
+    [
+        (("spiral_zones", "split_lens"), 3, ["psf_orientation", "psf_peak"]),
+        (("spiral_zones", "split_lens"), 1, []),
+        (("lens",), 3, ["psf_peak"]),
+        (("lens",), 1, []),
+    ],
+)
+def test_curves_over_depth_need_several_depths_and_an_orientation_needs_a_lobe(
+    terms: tuple[str, ...], depths: int, names: list[str], full_run: RunFolder, tmp_path: Path
+) -> None:
+    assert full_run.psf is not None
+    pair = without_depths(full_run.psf, full_run.psf.depth_m > full_run.psf.depth_m[depths - 1])
+    assert pair.depth_m.size == depths
+    run = replace(full_run, path=tmp_path, psf=pair, outline=replace(full_run.outline, terms=terms))
+    assert list(draw(run, silent, workers=1, only={"psf_orientation", "psf_peak"})) == names
+    assert sorted(path.stem for path in (tmp_path / "figures").iterdir()) == names
+
+
 @pytest.mark.parametrize(("ripple_rad", "shown"), [(0.0, False), (2.0 * np.pi, False), (0.3, True)])
 def test_a_flat_phase_is_said_rather_than_drawn(full_run: RunFolder, ripple_rad: float, shown: bool) -> None:
     """A plain lens has nothing beside its carrier; whole turns are nothing, too."""
