@@ -36,7 +36,7 @@ def site_at(pillars: PillarMap, x_um: float, y_um: float) -> tuple[int, int]:
         pitch = lattice.period_dbu[1 if name == "y" else 0] * lattice.database_unit_nm * 1e-3
         if not sites[0] - pitch <= at <= sites[-1] + pitch:
             expected = f"a point on the lens, {sites[0]:g} to {sites[-1]:g} um"
-            raise InputError.single("patch", f"{name}_um", expected, f"{at:g} um")
+            raise InputError.single("place in the mask", f"{name}_um", expected, f"{at:g} um")
         nearest.append(int(np.argmin(np.abs(sites - at))))
     return nearest[0], nearest[1]
 

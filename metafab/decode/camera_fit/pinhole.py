@@ -89,8 +89,8 @@ class CameraFit:
 
 #: Parameters that no fit can separate, and the reason.
 NOT_SEPARATED = (
-    "sensor distance and wavelength: a fixed mask's images depend on their product alone, "
-    "but for 1/depth, whose change is part of the vergence offset"
+    "the distance of the sensor and the wavelength: the images of a mask follow from the product of both. What else "
+    "the wavelength changes is the same shift of 1/depth for all objects, and is part of the vergence offset"
 )
 
 _AS_PREDICTED = CameraFit(0.0, 0.0, 0.0, 1.0, (0.0, 0.0), 0.0, 0.0)
