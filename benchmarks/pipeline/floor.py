@@ -167,6 +167,8 @@ def _commands(whole_s: float) -> list[dict[str, Any]]:
             shutil.copytree(REPOSITORY / name, folder / name, ignore=shutil.ignore_patterns("*.h5"))
         lens = ("run", str(folder / "layouts" / f"{SMALL}.toml"), "-o", str(folder / "run"), "--json")
         first = finished(*lens, NUMBA_CACHE_DIR=str(folder / "kernels"))
+        # Inputs that were copied just before a run are compared by their contents once, and by their times from then.
+        finished(*lens)
         again, listed, start = finished(*lens), finished("--help"), start_s()
     depth = json.loads(first.stdout)["decode"]["nmae"]
     return [
