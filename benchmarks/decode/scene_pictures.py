@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 
 from benchmarks.decode.scene_stacks import KEPT
 from metafab.core.conventions import FloatArray
-from metafab.core.storage.files import file_sha256
+from metafab.core.storage.files import file_sha256, whole_file
 from metafab.spec import Scene
 from metafab.spec.scene import Rgbd
 
@@ -35,12 +35,13 @@ def rgbd(name: str, electrons: float) -> Callable[[float, int], Scene]:
     """Scene of a picture by its name, as those of :class:`benchmarks.decode.scene_cases.Case`; seeds vary the noise."""
 
     def scene(pixel: float, seed: int) -> Scene:
-        folder = KEPT / "pictures" / file_sha256(Path(__file__))[:12]
+        source = "fractals" if _data() is None else "scikit-image"
+        folder = KEPT / "pictures" / f"{file_sha256(Path(__file__))[:12]}_{source}"
         files = folder / f"{name}_light.npy", folder / f"{name}_depth.npy"
         if not all(file.is_file() for file in files):
-            folder.mkdir(parents=True, exist_ok=True)
             for file, values in zip(files, _PICTURES[name](), strict=True):
-                np.save(file, values)
+                with whole_file(file) as part, part.open("wb") as stream:
+                    np.save(stream, values)
         picture = Rgbd(image_file=files[0], depth_file=files[1], depth_range_m=RANGE_M)
         return Scene(rgbd=picture, field_px=FIELD_PX, photons_per_pixel=electrons)
 

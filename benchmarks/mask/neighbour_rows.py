@@ -248,10 +248,9 @@ def rows(
         figures = dict(zip(("promised", "lone sizes", "one search", "all"), light, strict=True))
         judged = (("lone sizes", size_nm[lone]), ("all", size_nm[kept[-1]]))
         if resolution is not None:
-            for name, sizes_nm in judged:
-                mean = full_wave(site_cell(known), sizes_nm, target, resolution)
-                figures[f"full wave, {name}"] = float(row.light(mean))
-            figures["full wave, largest phase / rad"] = float(np.abs(np.angle(mean)).max())
+            means = {name: full_wave(site_cell(known), sizes_nm, target, resolution) for name, sizes_nm in judged}
+            figures |= {f"full wave, {name}": float(row.light(mean)) for name, mean in means.items()}
+            figures["full wave, largest phase / rad"] = float(np.abs(np.angle(means["all"])).max())
         for pixels in meep_pixels:
             for name, sizes_nm in judged:
                 figures[f"Meep {pixels}, {name}"] = float(row.light(by_meep(known, sizes_nm, target, pixels)))
@@ -276,4 +275,4 @@ if __name__ == "__main__":
     for each in rows(asked.design, asked.rows, asked.starts, asked.limit_rad, asked.seed, asked.resolution, asked.meep):
         found.append(each)
         print(_line(each), flush=True)
-    print(_line({name: float(np.mean([row[name] for row in found])) for name in found[0]}))
+    print("mean:", _line({name: float(np.mean([row[name] for row in found])) for name in found[0]}))

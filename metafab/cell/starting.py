@@ -124,7 +124,7 @@ def starting_cell(
         shape=cast("Shape", "ellipse" if shape == "circle" else shape),
         hole_nm=sizes.hole_nm,
     )
-    cell = replace(cell, height_nm=_lowest_nm(cell, sizes))
+    cell = replace(cell, height_nm=_least_height_nm(cell, sizes))
     most = sizes.steps + 1
     fields = _fields(cell, sizes.spread_nm(most if sizes.axes == 1 else min(most, _SIZES_OF_TWO)), sizes.axes)
     reach_rad, efficiency = covered_rad(np.angle(fields[np.abs(fields) ** 2 >= 0.5])), _efficiency(fields)
@@ -141,7 +141,7 @@ class _Medium:
 
     @classmethod
     def of(cls, name: str, wavelength_nm: float, option: str, folder: Path) -> _Medium:
-        """A material by name, file or index."""
+        """A material by name, file or index; InputError for an unknown one."""
         material, called, toml = _material(name, wavelength_nm, option, folder)
         return cls(called, toml, refractive_index(material, wavelength_nm))
 
@@ -202,11 +202,12 @@ class _Sizes:
 
 
 def _rounded_nm(length_nm: float) -> float:
+    """The nearest multiple of `_ROUND_NM`, at least one."""
     return _ROUND_NM * max(1, round(length_nm / _ROUND_NM))
 
 
-def _lowest_nm(cell: PillarCell, sizes: _Sizes) -> float:
-    """The lowest height whose sizes put nearly as much light into a grating's order as those of the best."""
+def _least_height_nm(cell: PillarCell, sizes: _Sizes) -> float:
+    """Least height whose sizes send nearly as much light into a grating's order as those of the best height."""
     n = cell.n_pillar.real
     heights_nm = [_ROUND_NM * round(turns * cell.wavelength_nm / (n - 1.0) / _ROUND_NM) for turns in _TURNS]
     few_nm = sizes.spread_nm(_SIZES[sizes.axes])

@@ -63,15 +63,20 @@ class Block:
     def _one_shape(self) -> Block:
         lengths = [[len(row) for row in sizes] for sizes in (self.width_nm, self.length_nm)]
         if lengths[0] != lengths[1] or len(set(lengths[0])) > 1:
-            got = " and of ".join(f"{len(each)} x {min(each)} to {max(each)}" for each in lengths)
+            got = " and ".join(f"rows of {_span(each)} sizes ({len(each)})" for each in lengths)
             expected = "`width_nm` and `length_nm` of equally many rows, all of one length"
-            raise ValueError(f"expected {expected}, got lists of {got} sizes; give 0 where no pillar stands")
+            raise ValueError(f"expected {expected}, got {got}; give 0 where no pillar stands")
         return self
 
     @property
     def size_nm(self) -> FloatArray:
         """Sizes of the pillars, shape (n_y, n_x, 2)."""
         return np.stack([np.array(self.width_nm, float), np.array(self.length_nm, float)], axis=-1)
+
+
+def _span(counts: list[int]) -> str:
+    low, high = min(counts), max(counts)
+    return str(low) if low == high else f"{low} to {high}"
 
 
 @dataclass(frozen=True, config=CONFIG)

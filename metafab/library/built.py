@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from concurrent.futures import Executor
+from contextlib import suppress
 from dataclasses import replace
+from glob import escape
 from pathlib import Path
 
 import h5py
@@ -31,9 +33,9 @@ def build_file(
 
     Pillars of an earlier file that are still current are not solved again: a training uses them, or they are the whole
     library where the unit cell no longer asks for a model. A killed build or training continues where it stopped: until
-    the library is saved, files in its folder keep what was solved. The rows and blocks of a training stay there
-    (``.rows``, ``.blocks``): another fit, or more of them, continue from them. If two processes build one library, the
-    second waits for the first and loads its file. A damaged checkpoint raises InputError.
+    the library is saved, files in its folder keep what was solved and fitted. The rows and blocks of a training stay
+    there (``.rows``, ``.blocks``): another fit, or more of them, continue from them. If two processes build one
+    library, the second waits for the first and loads its file. A damaged checkpoint raises InputError.
 
     Args:
         unit_cell: unit cell with its sweep and, for a model of neighbours, the table ``[neighbours]``.
@@ -58,6 +60,10 @@ def build_file(
     trained = train(library, executor=executor, checkpoint=checkpoint, progress=progress)
     library = replace(library, neighbours=trained)
     store.save(library, path)
+    # Of this training, and of stopped ones that fitted otherwise.
+    for fits in path.parent.glob(f"{escape(checkpoint.stem)}.*.fits"):
+        with suppress(OSError):  # another process has it open, on Windows
+            fits.unlink()
     return library
 
 

@@ -188,7 +188,7 @@ class Library(Displayed):
         found = []
         failing = [] if self.neighbours is None else [line for line in self.neighbours.lines if not line.pays]
         if failing:
-            chain = failing[0].statistics
+            chain = max((line.statistics for line in failing), key=lambda each: each.error / each.local_period_error)
             found.append(
                 f"a chain of the model of neighbours does not lower the error: {chain.error:.3f} of the field on its "
                 f"held-out rows, {chain.local_period_error:.3f} without it; the model is used only where a design asks "

@@ -68,7 +68,7 @@ def psf(
     with one_blas_thread(), work.threads() as pool:
         windows = Window.for_target(imaging, numerics).over_band(tangent, numerics.filter_fwhm_nm)
         pyramids, stray = reduce_to_target(source, windows, depths, tangent, grid, numerics.block_error, pool, work)
-        light = _light(_Sum(imaging, pyramids, stray, depths, numerics), tangent, grid, pool, work)
+        light = _window_light(_WindowInputs(imaging, pyramids, stray, depths, numerics), tangent, grid, pool, work)
 
     transmitted = [_transmitted(imaging, pyramids, p, depths[len(depths) // 2], tangent) for p in (0, 1)]
     pairs = [
@@ -99,8 +99,8 @@ def psf(
 
 
 @dataclass(frozen=True)
-class _Sum:
-    """What the light of every window is added up from."""
+class _WindowInputs:
+    """Block sums, depths and numerics that the light of every window is computed from."""
 
     imaging: Imaging
     pyramids: list[list[Pupil]]  # of each polarisation: block sums, then those of ever coarser blocks
@@ -119,7 +119,7 @@ class _Light:
     """Irradiance in all windows; the first axis of the lists is the pair, then its ghosts if there are any."""
 
     images: list[list[FloatArray]]  # of x and y on the direction of the pair, shape (n_depth, n_y, n_x) each
-    errors: list[list[FloatArray]]  # theirs, shape (n_depth,) each
+    errors: list[list[FloatArray]]  # relative L2 errors of `images`, shape (n_depth,) each
     over_field: NDArray[np.float32]  # shape (n_pairs, 2 n_field_y n_field_x, n_depth, n_y, n_x)
     field_error: float  # the largest over the field; NaN without one
     between: list[FloatArray]  # of x and y at the middle depth between the last nodes of the field; empty without one
@@ -133,21 +133,23 @@ class _Light:
         return relative_l2(at_tangent(wanted, probe)[:, middle : middle + 1], np.array(self.between))
 
 
-def _light(total: _Sum, tangent: Tangent, grid: FieldGrid | None, pool: Executor, work: Work) -> _Light:
+def _window_light(
+    inputs: _WindowInputs, tangent: Tangent, grid: FieldGrid | None, pool: Executor, work: Work
+) -> _Light:
     """Add up the light of the pair at ``tangent`` and at all nodes of ``grid``, a window at a time."""
-    depths, numerics, entries = total.depths_m, total.numerics, total.entries
-    window, probe = Window.for_target(total.imaging, numerics), _between_nodes(grid)
+    depths, numerics, entries = inputs.depths_m, inputs.numerics, inputs.entries
+    window, probe = Window.for_target(inputs.imaging, numerics), _between_nodes(grid)
     nodes = [] if grid is None else [(float(t_x), float(t_y)) for t_y in grid[1] for t_x in grid[0]]
     tasks = [(entry, tangent) for entry in entries] + [(entry, node) for entry in entries for node in nodes]
 
-    def begun(entry: JonesEntry, at: Tangent, depths_m: list[float], judged: Judged) -> Future[_WindowLight]:
-        pupils = total.pyramids[entry[0]]
+    def submitted(entry: JonesEntry, at: Tangent, depths_m: list[float], judged: Judged) -> Future[_WindowLight]:
+        pupils = inputs.pyramids[entry[0]]
         return pool.submit(Window.light, window, pupils, entry[0], at, depths_m, numerics, judged=judged, entry=entry)
 
-    unwanted = pool.submit(Window.stray_irradiance, window, total.stray, 0, tangent, depths)
-    jobs = [begun(*task, depths, "all" if k < len(entries) else "ends") for k, task in enumerate(tasks)]
+    unwanted = pool.submit(Window.stray_irradiance, window, inputs.stray, 0, tangent, depths)
+    jobs = [submitted(*task, depths, "all" if k < len(entries) else "ends") for k, task in enumerate(tasks)]
     central = depths[len(depths) // 2 :][:1]
-    checks = [] if probe is None else [begun((p, p), probe, central, "none") for p in (0, 1)]
+    checks = [] if probe is None else [submitted((p, p), probe, central, "none") for p in (0, 1)]
     images: list[FloatArray] = []
     errors: list[FloatArray] = []
     for done, job in enumerate(jobs):
@@ -163,12 +165,12 @@ def _light(total: _Sum, tangent: Tangent, grid: FieldGrid | None, pool: Executor
         over_field=over_field.reshape(len(pairs), -1, *over_field.shape[1:]),
         field_error=float(max(error.max() for error in errors[len(entries) :])) if nodes else float("nan"),
         between=[job.result()[0] for job in checks],
-        unwanted=unwanted.result().sum(axis=(1, 2)) * total.imaging.pixel_um**2,
+        unwanted=unwanted.result().sum(axis=(1, 2)) * inputs.imaging.pixel_um**2,
     )
 
 
 def _extinction_ratio(wanted: Psf, unwanted: FloatArray) -> FloatArray:
-    """Wanted over unwanted power in the window of PSF_x, shape (n_depth,); NaN if it is that of PSF_y, too."""
+    """Wanted over unwanted power in the window of PSF_x, shape (n_depth,); NaN where one window holds both PSFs."""
     if np.abs(np.diff(wanted.centre_um[:, 0], axis=0)).max() < wanted.pixel_um:
         return np.full(wanted.depth_m.shape, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):

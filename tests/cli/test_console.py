@@ -264,7 +264,7 @@ def test_a_run_that_skips_steps_says_so_and_counts_only_its_own_time(tmp_path: P
     step, seconds = next(iter(summary.seconds.items()))
     unneeded = SkippedStep("lights", "the design serves one wavelength")
     lines = headlines(replace(summary, skipped=(SkippedStep(step, UNCHANGED, seconds), unneeded)), tmp_path)
-    assert lines["skipped"] == f"1 of the steps, unchanged, which took {seconds:.3g} s when they ran"
+    assert lines["skipped"] == f"unchanged steps: 1, which took {seconds:.3g} s when they last ran"
     assert lines["time"].startswith(f"{sum(summary.seconds.values()) - seconds:.3g} s")
     every = tuple(SkippedStep(step, UNCHANGED, seconds) for step, seconds in summary.seconds.items())
     assert headlines(replace(summary, skipped=every), tmp_path)["time"].startswith("0 s")

@@ -165,7 +165,7 @@ def fullwave_command(
     pixels_per_period: Annotated[
         list[int] | None, typer.Option(min=8, help="Grid of Meep; give two or more, ascending [default: 16, 24].")
     ] = None,
-    output: Annotated[Path | None, typer.Option("-o", "--output", "--out", metavar="PATH", help="JSON file.")] = None,
+    output: Annotated[Path | None, typer.Option("-o", "--output", "--out", metavar="FILE", help="JSON file.")] = None,
     workers: Workers = None,
     json_: Json = False,
 ) -> None:

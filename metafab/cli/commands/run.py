@@ -222,11 +222,12 @@ def _times(summary: RunSummary) -> dict[str, str]:
     """Time of the steps that ran, and of those that were skipped because nothing had changed, when they ran last."""
     from metafab.steps.summary import UNCHANGED
 
-    saved_s = [entry.saved_s or 0.0 for entry in summary.skipped if entry.why == UNCHANGED]
-    spent_s = sum(summary.seconds.values()) - sum(saved_s)
-    lines = {"time": f"{max(spent_s, 0.0):.3g} s in all steps that ran"}
-    if saved_s:
-        lines["skipped"] = f"{len(saved_s)} of the steps, unchanged, which took {sum(saved_s):.3g} s when they ran"
+    unchanged = {entry.step for entry in summary.skipped if entry.why == UNCHANGED}
+    spent_s = sum(seconds for step, seconds in summary.seconds.items() if step not in unchanged)
+    lines = {"time": f"{spent_s:.3g} s in the steps that ran"}
+    if unchanged:
+        saved_s = sum(seconds for step, seconds in summary.seconds.items() if step in unchanged)
+        lines["skipped"] = f"unchanged steps: {len(unchanged)}, which took {saved_s:.3g} s when they last ran"
     return lines
 
 

@@ -97,8 +97,10 @@ def inputs_of_rows(library: Library) -> str:
 
 
 def inputs_of_fits(library: Library) -> str:
-    """Fingerprint of the fits of a training: its rows and how they are fitted."""
-    return fingerprint("fits", inputs_of_training(library.unit_cell), inputs_of_rows(library))
+    """Fingerprint of the fits of a training: which rows are fitted, and how; the number of blocks does not count."""
+    asked = library.unit_cell.neighbours
+    without_blocks = replace(library.unit_cell, neighbours=None if asked is None else replace(asked, blocks=0))
+    return fingerprint("fits", inputs_of_training(without_blocks), inputs_of_rows(library))
 
 
 def train(
@@ -114,7 +116,8 @@ def train(
         library: library whose unit cell has the table ``[neighbours]``.
         executor: solves the rows and runs the fits; None for this process.
         checkpoint: file that keeps the solved rows; a call with equal :func:`inputs_of_rows` continues from it. Solved
-            blocks, and until the training ends the fitted chains, stand beside it (``.blocks``, ``.fits``).
+            blocks (``.blocks``) and fitted chains (``.HASH.fits``) stand beside it;
+            :func:`metafab.library.built.build_file` removes the latter once the library is saved.
         progress: called with the number of solved rows, and with the number of fits.
 
     Raises:
@@ -144,7 +147,6 @@ def train(
         of_blocks = checkpoint.with_suffix(".blocks") if checkpoint else None
         with Checkpoint(of_blocks, inputs_of_blocks(library)) as record, one_blas_thread():
             neighbours = couple(library, neighbours, asked.blocks, record, calls, progress)
-    fits.remove()
     return neighbours
 
 

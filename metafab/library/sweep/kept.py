@@ -37,11 +37,14 @@ def kept_results(
         function: called with each task that has no result yet.
         tasks: the tasks.
         record: holds the numbers of each result as a point.
-        first: number of the first task in the record.
-        numbers_of: numbers of a result.
-        result_of: result of a task from its numbers.
+        first: number under which the first task is recorded; the others follow. Calls that share a record need ranges
+            that do not overlap.
+        numbers_of: numbers of a result, any count.
+        result_of: inverse of ``numbers_of``, given the task too.
         step: name of the calls for ``progress``.
         progress: called with the number of results.
+
+    What ``function`` raises comes through; results that arrived before stay in ``record``.
     """
     kept = {point.number: point.amplitudes for point in record.points}
     results = {number: result_of(task, kept[number]) for number, task in enumerate(tasks, first) if number in kept}

@@ -27,10 +27,10 @@ ROW = {"width_nm": [[120.0, 150.0, 180.0]], "length_nm": [[180.0, 150.0, 130.0]]
     ("blocks", "message"),
     [
         ([], "blocks"),
-        ([{"width_nm": [[120.0, 130.0]], "length_nm": [[120.0]]}], "got lists of 1 x 2 to 2 and of 1 x 1 to 1 sizes"),
+        ([{"width_nm": [[120.0, 130.0]], "length_nm": [[120.0]]}], "got rows of 2 sizes (1) and rows of 1 sizes (1)"),
         (
             [{"width_nm": [[120.0], [130.0, 140.0]], "length_nm": [[120.0], [130.0, 140.0]]}],
-            "of 2 x 1 to 2 and of 2 x 1",
+            "got rows of 1 to 2 sizes (2) and rows of 1",
         ),
         ([{"width_nm": [120.0], "length_nm": [[120.0]]}], "width_nm[0]`: expected a list, in square brackets, got 120"),
         ([{"width_nm": [[-1.0]], "length_nm": [[120.0]]}], "width_nm[0][0]"),

@@ -17,8 +17,11 @@ from metafab.library.neighbours.training import inputs_of_training
 from metafab.spec.cell import Neighbours as Training
 
 
-def _train(library: Library, **_: object) -> Neighbours:
-    """Chains of random parameters in place of a training."""
+def _train(library: Library, *, checkpoint: Path | None = None, **_: object) -> Neighbours:
+    """Chains of random parameters in place of a training, whose rows and fits stay in files."""
+    if checkpoint is not None:
+        for suffix in (".rows", ".0123abcd.fits"):
+            checkpoint.with_suffix(suffix).touch()
     line = TrainedLine(initial_model(LineShape(2, 1, 1), (100.0, 250.0), (100.0, 250.0), 1), LineStatistics(10, 2, 0.5))
     return Neighbours((line, line), (line, line), inputs_of_training(library.unit_cell))
 
@@ -39,6 +42,7 @@ def test_the_model_follows_the_unit_cell(
     # The pillars were kept: building them would have replaced the closed form.
     assert np.array_equal(trained.t_xx, smooth_library.t_xx)
     assert is_current(path, asked)
+    assert {each.suffix for each in tmp_path.iterdir()} == {".h5", ".rows"}  # fits are of no use any more
     assert not is_current(path, replace(lone, neighbours=Training(rows=200)))
     stored = load(path)
     assert stored.unit_cell == asked

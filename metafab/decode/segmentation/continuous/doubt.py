@@ -14,8 +14,8 @@ mirrored with another texture; a room, hills, bars, leaves and rectangles of ran
 and surfaces of random depths, four of these pictures at 500 electrons, too; three frames of a small lens with half the
 weight. Pictures with the same photograph or the same depths are left out together: 0 to 10 % of the pixels with a
 probability above 0.9 are then wrong, 2.4 % in the mean of the frames, and 1.7 to 2.0 % of the motorcycle's at 3000
-electrons. Fitted without coherence, it is 0 to 18 %, 4.8 % in the mean, and 27 % in place of 50 % of the motorcycle's
-pixels are above 0.9. The odds of a wrong depth are a third higher than fitted.
+electrons. Weights fitted without coherence leave 0 to 18 % wrong, 4.8 % in the mean, and only 27 % of the motorcycle's
+pixels reach 0.9, in place of 50 %. The odds of a wrong depth are a third higher than fitted.
 """
 
 from __future__ import annotations

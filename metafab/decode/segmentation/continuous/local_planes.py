@@ -2,9 +2,9 @@
 
 The price of semi-global matching for a change of level makes stairs of a slope, and where there is little texture the
 levels follow noise. A plane through the levels about a pixel has less of both. Levels beyond an outline are outliers of
-the plane on this side, which biweights leave out. Small steps are within their tolerance: once the light is known
-sharp, pixels of other light than the pixel's own count less, too (joint bilateral filter; Petschnigg et al., ACM Trans.
-Graph. 23, 664, 2004).
+the plane on this side, which biweights leave out, if the step is larger than their tolerance. Once the sharp light is
+known, pixels also count less the more their light differs from the pixel's own (joint bilateral filter; Petschnigg et
+al., ACM Trans. Graph. 23, 664, 2004).
 """
 
 from __future__ import annotations

@@ -124,9 +124,21 @@ def test_a_stopped_training_keeps_its_fits(
     with pytest.raises(KeyboardInterrupt):
         training.train(asked, checkpoint=checkpoint)
     assert len(begun) == 2
+
+    def none_left(*_: object) -> LineModel:
+        raise AssertionError("a chain that was fitted is fitted again")
+
+    def unfitted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(training, "_start", none_left)
+        patch.setattr(training, "_refit", unfitted)
+        with pytest.raises(KeyboardInterrupt):
+            training.train(asked, checkpoint=checkpoint)
+    monkeypatch.setattr(training, "_start", none_left)
+    monkeypatch.setattr(training, "_finish", none_left)
     model = training.train(asked, checkpoint=checkpoint)
-    assert len(begun) == 2
-    assert not list(tmp_path.glob("*.fits"))
     assert trained.neighbours is not None
     for one, other in zip(model.lines, trained.neighbours.lines, strict=True):
         np.testing.assert_array_equal(one.model.vector, other.model.vector)

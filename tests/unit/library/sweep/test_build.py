@@ -126,14 +126,14 @@ def test_a_cluster_runs_meep_in_its_own_processes(
 
 
 def test_the_number_of_cells_is_stated_alone_where_every_size_is_solved(unit_cell: UnitCell) -> None:
-    assert library.expected_cells(unit_cell) == (120, 1100)
+    assert library.expected_cells(unit_cell) == (100, 1100)
     small = replace(unit_cell, sweep=replace(unit_cell.sweep, width_nm=(100.0, 104.0), length_nm=(100.0, 104.0)))
     assert library.expected_cells(small) == (6, 6)
     circles = replace(unit_cell, cell=replace(unit_cell.cell, shape="circle"))
     assert library.expected_cells(circles) == (76, 76)
     # Two sizes and an angle.
     tilted = replace(unit_cell, sweep=replace(unit_cell.sweep, axes=Axes(angle_x_deg=(0.0, 4.0))))
-    assert library.expected_cells(tilted) == (120 + 3 * 96, 1100 + 3 * 400)
+    assert library.expected_cells(tilted) == (100 + 3 * 96, 1100 + 3 * 400)
 
 
 def test_the_solver_gets_the_share_of_a_model_only_where_there_is_none(unit_cell: UnitCell) -> None:
