@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import scipy.fft
 from scipy.ndimage import map_coordinates, spline_filter
 
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
 from metafab.core.storage.pictures import read_grey
 from metafab.spec.scene import SceneObject
 
@@ -18,12 +20,15 @@ Texture = Callable[[FloatArray, FloatArray], FloatArray]
 _CHECKER_SQUARES = 8
 #: Smallest brightness of a texture, relative to its mean: no surface is blacker.
 _DARKEST = 0.02
+#: Largest value of a picture, whose square is a number, too.
+_LARGEST = 1e100
 
 
 def make_texture(spec: SceneObject, texels: tuple[int, int], rng: np.random.Generator) -> Texture:
     """Make the texture of an object: a function of (u, v), arrays of any shape, 0 to 1 across its bounding box.
 
-    ``texels`` is the resolution (n_v, n_u) of a procedural texture, ``rng`` the source of its randomness.
+    ``texels`` is the resolution (n_v, n_u) of a procedural texture, ``rng`` the source of its randomness. InputError
+    for a picture with values that are not finite, or too large to average.
     """
     if spec.texture == "uniform" or spec.texture_contrast == 0.0:
         return lambda u, v: np.ones(np.broadcast_shapes(u.shape, v.shape))
@@ -32,11 +37,20 @@ def make_texture(spec: SceneObject, texels: tuple[int, int], rng: np.random.Gene
         squares = _CHECKER_SQUARES
         return lambda u, v: 1.0 + contrast * (2.0 * ((np.floor(squares * u) + np.floor(squares * v)) % 2) - 1.0)
     if spec.texture == "image" and spec.texture_file is not None:
-        grey = read_grey(spec.texture_file)[::-1]  # lowest row first
+        grey = _finite(read_grey(spec.texture_file), spec.texture_file)[::-1]  # lowest row first
         pattern = (grey - grey.mean()) / max(float(grey.std()), 1e-300)
     else:
         pattern = fractal(texels, rng)
     return _sampled(_with_contrast(pattern, spec.texture_contrast))
+
+
+def _finite(grey: FloatArray, file: Path) -> FloatArray:
+    """The values of a picture, shape (n_y, n_x), if all are finite and of at most :data:`_LARGEST`."""
+    bad = int(np.count_nonzero(~(np.abs(grey) <= _LARGEST)))
+    if bad:
+        expected, got = f"finite values up to {_LARGEST:g}", f"{bad} others in {file}"
+        raise InputError.single("scene", "texture_file", expected, got, "repair or scale the picture")
+    return grey
 
 
 def fractal(shape: tuple[int, int], rng: np.random.Generator) -> FloatArray:

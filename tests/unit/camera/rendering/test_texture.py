@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from metafab.camera.rendering.texture import make_texture
+from metafab.core.errors import InputError
 from metafab.spec import SceneObject
 
 
@@ -31,3 +32,11 @@ def test_a_picture_as_texture_keeps_its_top_up(tmp_path: Path) -> None:
     texture = make_texture(spec, (8, 8), np.random.default_rng(1))
     assert texture(np.array([0.5]), np.array([0.8]))[0] > 1.2
     assert texture(np.array([0.5]), np.array([0.2]))[0] < 0.8
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_a_picture_with_values_that_are_no_light_is_refused_by_name(tmp_path: Path, value: float) -> None:
+    np.save(tmp_path / "picture.npy", np.where(np.eye(8), value, 1.0))
+    spec = SceneObject(depth_m=1.0, texture="image", texture_file=tmp_path / "picture.npy")
+    with pytest.raises(InputError, match=r"`texture_file`: expected finite values .*, got 8 others in .*npy"):
+        make_texture(spec, (8, 8), np.random.default_rng(1))

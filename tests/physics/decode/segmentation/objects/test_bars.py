@@ -19,8 +19,8 @@ def test_a_bar_is_found_at_its_depth(contrast: float) -> None:
     errors, wall = errors_of(image, frame, 2), errors_of(image, frame, 1)
     bar = max((one for one in image.segments if one.depth_m < 0.0031), key=lambda one: one.pixels)
     assert np.isfinite(errors).mean() > 0.6
-    # Measured: 1.5 % (0.7 % stated) and 0.4 % (2.1 %).
-    assert abs(np.nanmedian(errors)) < min(3.0 * bar.error_m / bar.depth_m, 0.04)
+    # Measured: 2.0 % (3.1 % stated, 1.1 % without the error of the wall's share) and 0.4 %.
+    assert abs(np.nanmedian(errors)) < min(1.3 * bar.error_m / bar.depth_m, 0.04)
     claimed_as_wall = np.abs((1.0 + errors) * 0.0027 / WALL_M - 1.0) < 0.05
     assert claimed_as_wall.mean() < 0.1
     # The bar's segment is no wider than its light: pixels of the wall that took its depth were 4 % and more.
