@@ -9,6 +9,7 @@
 - ``shortest_outlines``  outlines shortened as far as the doubt about their pixels allows, along edges of the light
 - ``frame_outlines``     outlines between unlike contrasts to a part of a downsampled pixel, by the raw frame
 - ``pixel_outlines``     outlines between the downsampled pixels of segments, on the frame's pixels
+- ``own_depths``         doubt of segments whose pixels, away from outlines, are seen at other depths
 - ``contrast``           I_x / I_y of pixels and segments, with standard errors
 - ``compose``            PixelDepth, Regions and sharp images -> Image4D
 """

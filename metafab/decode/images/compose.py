@@ -17,6 +17,7 @@ from metafab.decode.confidence import LEAST_RIGHT, RIGHT_WITHIN, confidence, sam
 from metafab.decode.image import Image4D
 from metafab.decode.images.contrast import SegmentLight, pixel_contrast
 from metafab.decode.images.deconvolution import SharpImages
+from metafab.decode.images.own_depths import seen_elsewhere
 from metafab.decode.images.pixel_outlines import on_pixels
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
@@ -183,6 +184,8 @@ def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int
     right = np.ones(vergence.shape) if regions.right is None else regions.right
     known &= right >= LEAST_RIGHT
     right = right * same_side(vergence, step)
+    if not regions.continuous:
+        right = np.minimum(right, 1.0 - seen_elsewhere(pixels, regions.grown, vergence, step))
     # A window around a pixel of a small object holds mostly light of the object's surroundings.
     agrees = claimed & (np.abs(pixels.vergence_per_m - vergence) < RIGHT_WITHIN * vergence)
     pixel_error = np.where(agrees, pixels.relative_error, np.inf)

@@ -1,0 +1,54 @@
+"""Doubt of a segment by the own depths of its pixels: where it begins, and what does not cause it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from metafab.core.conventions import FloatArray
+from metafab.decode.images.own_depths import seen_elsewhere
+from metafab.decode.matching.depth import PixelDepth
+
+SHAPE, STEP = (120, 160), 3
+
+
+def _scene(noise: float = 0.01) -> tuple[PixelDepth, NDArray[np.int32], FloatArray]:
+    """Two segments side by side at 2 and 3 per metre, and own depths with this relative noise."""
+    label = np.where(np.arange(SHAPE[1]) < 80, 1, 2)[None] * np.ones(SHAPE, dtype=np.int32)
+    vergence = np.where(label == 1, 2.0, 3.0)
+    own = vergence * (1.0 + noise * np.random.default_rng(1).standard_normal(SHAPE))
+    return PixelDepth(own, np.full(SHAPE, noise), np.ones(SHAPE, dtype=bool)), label.astype(np.int32), vergence
+
+
+@pytest.mark.parametrize("noise", [0.01, 0.1])
+def test_noise_raises_no_doubt(noise: float) -> None:
+    assert seen_elsewhere(*_scene(noise), STEP).max() < 0.01
+
+
+def test_a_part_that_is_seen_elsewhere_is_doubted_with_its_segment() -> None:
+    pixels, label, vergence = _scene()
+    own = pixels.vergence_per_m.copy()
+    own[:, :30] *= 1.2  # three eighths of the first segment
+    doubt = seen_elsewhere(replace(pixels, vergence_per_m=own), label, vergence, STEP)
+    assert doubt[:, :25].min() == 1.0
+    assert doubt[:, 30:80].min() > 0.9
+    assert doubt[:, 80:].max() == 0.0
+
+
+def test_depths_that_mix_along_an_outline_raise_no_doubt() -> None:
+    pixels, label, vergence = _scene()
+    own = pixels.vergence_per_m.copy()
+    own[:, 74:86] = 2.5
+    assert seen_elsewhere(replace(pixels, vergence_per_m=own), label, vergence, STEP).max() < 0.01
+
+
+def test_pixels_without_a_depth_or_a_segment_do_not_count() -> None:
+    pixels, label, vergence = _scene()
+    own, claimed = pixels.vergence_per_m.copy(), pixels.claimed.copy()
+    own[:, :30], claimed[:, :30] = 5.0, False
+    assert seen_elsewhere(PixelDepth(own, pixels.relative_error, claimed), label, vergence, STEP).max() < 0.01
+    label[:, :30] = 0
+    assert seen_elsewhere(replace(pixels, vergence_per_m=own), label, vergence, STEP)[:, :15].max() == 0.0
