@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -51,15 +52,24 @@ def asked(smooth_library: Library) -> Library:
 
 
 @pytest.fixture(scope="module")
-def solved_rows(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Checkpoint that trainings share, so that one of them solves the rows."""
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Checkpoint of the training of ``trained``."""
     return tmp_path_factory.mktemp("training") / "rows"
 
 
 @pytest.fixture(scope="module")
-def trained(asked: Library, coarse: None, solved_rows: Path) -> Library:
+def trained(asked: Library, coarse: None, checkpoint: Path) -> Library:
     """The library with its model."""
-    return replace(asked, neighbours=training.train(asked, checkpoint=solved_rows))
+    return replace(asked, neighbours=training.train(asked, checkpoint=checkpoint))
+
+
+@pytest.fixture
+def solved_rows(trained: Library, checkpoint: Path, tmp_path: Path) -> Path:
+    """Checkpoint with the same rows and blocks solved, and no chain fitted."""
+    for name in ("rows", "rows.blocks"):
+        if (solved := checkpoint.with_name(name)).is_file():
+            shutil.copy(solved, tmp_path / name)
+    return tmp_path / "rows"
 
 
 @pytest.mark.usefixtures("coarse")
@@ -103,8 +113,7 @@ def test_training_restarts_and_is_stored(asked: Library, tmp_path: Path, monkeyp
 def test_a_stopped_training_keeps_its_fits(
     asked: Library, solved_rows: Path, trained: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    checkpoint = tmp_path / "rows"
-    checkpoint.write_bytes(solved_rows.read_bytes())
+    checkpoint = solved_rows
     begun: list[int] = []
     start, finish = training._start, training._finish
 
