@@ -17,7 +17,7 @@ import numpy as np
 
 from metafab.cell.meep.grid import COURANT, Plan, permittivity, smoothed_plan
 from metafab.cell.meep.pool import Pool, own_pool
-from metafab.cell.meep.protocol import Block
+from metafab.cell.meep.protocol import Block, Job
 from metafab.cell.meep.shaped import pillar_blocks
 from metafab.cell.meep.solver import refuse_untreated, richardson
 from metafab.cell.pillar import PillarCell, Slice
@@ -60,15 +60,19 @@ def estimate(supercell: Supercell, settings: SupercellSettings = SupercellSettin
     """
     whole = plan(supercell, "x", settings).job
     alone = [plan(_lone(cell), "x", settings).job for cell in supercell.periodic_cells().values()]
-    pixels = [job.n_x * job.n_y * job.n_z / 2 ** len(job.mirrors) for job in (whole, *alone)]
+    pixels = [_pixels(job) for job in (whole, *alone)]
     steps = _USUAL_PERIODS * whole.wavelength_um / (COURANT * whole.pixel_um)
     return Cost(round(pixels[0]), sum(pixels) * steps / _UPDATES_PER_S, pixels[0] * _BYTES_PER_PIXEL)
 
 
 def memory_bytes(supercell: Supercell, settings: SupercellSettings = SupercellSettings()) -> float:
     """Expected memory of a run for one polarisation; InputError if the grid does not fit."""
-    job = plan(supercell, "x", settings).job
-    return float(job.n_x * job.n_y * job.n_z) / 2.0 ** len(job.mirrors) * _BYTES_PER_PIXEL
+    return _pixels(plan(supercell, "x", settings).job) * _BYTES_PER_PIXEL
+
+
+def _pixels(job: Job) -> float:
+    """Pixels of the part of a cell that its mirrors leave to simulate."""
+    return float(job.n_x * job.n_y * job.n_z / 2 ** len(job.mirrors))
 
 
 def solve_supercell(
