@@ -35,6 +35,8 @@ _LONGEST_SIDE_PX = 1 << 16
 _MOST_PAGES = 1 << 13
 #: Arrays of an .npz file, and how NumPy compresses them; other methods of zip files inflate ten times more slowly.
 _MOST_ARRAYS, _OF_NUMPY = 1 << 10, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+#: Most names of arrays in a message.
+_MOST_NAMES = 8
 #: Makers of decompressors, by TIFF compression: tifffile inflates strips and tiles of these at any ratio.
 _OPENERS: dict[int, Callable[[], Any]] = {
     8: zlib.decompressobj,
@@ -85,7 +87,10 @@ def read_array(path: Path) -> np.ndarray:
     if kind is None:
         raise InputError.single(str(path), "file", "a .tif, .tiff, .png, .npy or .npz file", repr(path.suffix), _REMEDY)
     if not path.is_file():
-        raise InputError.single(str(path), "file", f"a {kind} file", "no file at that path", "check the path")
+        got = "a folder" if path.is_dir() else "no file at that path"
+        raise InputError.single(str(path), "file", f"a {kind} file", got, "check the path")
+    if not path.stat().st_size:
+        raise InputError.single(str(path), "file", f"a readable {kind} file", "an empty file", "was it written whole?")
     try:
         return _decoders()[kind](path)
     except InputError:
@@ -190,8 +195,8 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
         with image:
             require_few(path, *image.size)
             image.load()
-            grey = image.convert("RGB") if image.mode in {"P", "RGBA", "LA", "PA"} else image
-            return np.asarray(grey)
+            mode = {"LA": "L", "P": "RGB", "PA": "RGB", "RGBA": "RGB"}.get(image.mode, image.mode)
+            return np.asarray(image.convert(mode))
 
     def npy(path: Path) -> np.ndarray:
         mapped = np.load(path, mmap_mode="r", allow_pickle=False)
@@ -201,7 +206,10 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
     def npz(path: Path) -> np.ndarray:
         arrays = read_arrays(path)
         if len(arrays) != 1:
-            raise ValueError(f"{len(arrays)} arrays ({', '.join(arrays)}), not one")
+            names = ", ".join(list(arrays)[:_MOST_NAMES]) + (", ..." if len(arrays) > _MOST_NAMES else "")
+            got = f"{len(arrays)} arrays ({names})" if arrays else "none"
+            remedy = "save the wanted one alone, as .npy or by `numpy.savez(file, array)`"
+            raise InputError.single(str(path), "file", "an .npz file of one array", got, remedy)
         (values,) = arrays.values()
         require_few(path, *values.shape)
         return values

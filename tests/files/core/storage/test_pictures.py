@@ -176,3 +176,34 @@ def test_pages_are_no_colours(shape: tuple[int, ...], tmp_path: Path) -> None:
         read_grey(tmp_path / "stack.npy")
     np.save(tmp_path / "colours.npy", np.arange(40.0 * 50 * 3).reshape(40, 50, 3))
     assert read_grey(tmp_path / "colours.npy")[1, 2] == pytest.approx(3 * 52 + 1)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "got"),
+    [({"depth": 1, "mask": 2}, r"2 arrays \(depth, mask\)"), ({}, "none"), (dict.fromkeys("abcdefghij", 1), r"h, ...\)")],
+)
+def test_an_npz_of_several_arrays_is_named_as_such(arrays: dict[str, int], got: str, tmp_path: Path) -> None:
+    path = tmp_path / "several.npz"
+    np.savez(path, **{name: np.full((4, 4), value) for name, value in arrays.items()})
+    with pytest.raises(InputError, match=rf"expected an .npz file of one array, got .*{got}; save the wanted one alone"):
+        read_array(path)
+
+
+@pytest.mark.parametrize("name", ["x.npy", "x.npz", "x.png", "x.tif"])
+def test_empty_files_and_folders_are_called_so(name: str, tmp_path: Path) -> None:
+    path = tmp_path / name
+    path.touch()
+    with pytest.raises(InputError, match="got an empty file; was it written whole"):
+        read_array(path)
+    path.unlink()
+    path.mkdir()
+    with pytest.raises(InputError, match="got a folder"):
+        read_array(path)
+
+
+def test_a_grey_png_with_transparency_is_grey(tmp_path: Path) -> None:
+    from PIL import Image
+
+    counts = np.arange(16, dtype=np.uint8).reshape(4, 4)
+    Image.fromarray(np.stack([counts, np.full_like(counts, 9)], axis=-1), mode="LA").save(tmp_path / "grey.png")
+    assert np.array_equal(read_counts(tmp_path / "grey.png")[0], counts)
