@@ -11,10 +11,8 @@ import numpy as np
 from pydantic import Field
 from pydantic.dataclasses import dataclass
 
-from metafab.core.conventions import FloatArray
-from metafab.core.errors import Fault, InputError
-from metafab.core.storage.pictures import read_counts
 from metafab.spec.fields import CONFIG, Checked, Fraction, NonNegative, Positive, Real
+from metafab.spec.rgbd import Rgbd
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -71,53 +69,6 @@ class SceneObject(Checked):
                 heights.append(-(tilt**2) / (16.0 * bulge))
             lowest, highest = lowest + min(heights), highest + max(heights)
         return lowest, highest
-
-
-@dataclass(frozen=True, config=CONFIG)
-class Rgbd(Checked):
-    """A picture with its depth, which fills the field (table ``[rgbd]`` of a scene file).
-
-    All files have one shape. Integer depths need ``depth_range_m``, and 0 marks their unknown pixels.
-    """
-
-    image_file: Path  #: Brightness: .png, .tif, .npy or .npz; colours are averaged.
-    depth_file: Path  #: Depth, NaN where it is unknown: .npy, .npz, .tif, .png.
-    contrast_file: Path | None = None  #: I_x / I_y of each pixel; 1 without the key.
-    depth_range_m: tuple[Positive, Positive] | None = None  #: [near, far] that the file's depths are scaled into.
-
-    def _faults(self) -> Iterator[str]:
-        if self.depth_range_m is not None and self.depth_range_m[0] >= self.depth_range_m[1]:
-            yield "`depth_range_m` must be [near, far] with near < far"
-
-    def depths_m(self) -> FloatArray:
-        """Depths of the file, shape (n_y, n_x), top row first; NaN where they are unknown.
-
-        A file of the table that is missing (all of them are named), one that cannot be read, or whose depths make no
-        sense, raises InputError.
-        """
-        named = {"image_file": self.image_file, "depth_file": self.depth_file, "contrast_file": self.contrast_file}
-        missing = [(key, path) for key, path in named.items() if path is not None and not path.is_file()]
-        if missing:
-            faults = [Fault(f"rgbd.{key}", "a file", f"none at {path}", "check the path") for key, path in missing]
-            raise InputError("scene", faults)
-        values, largest_count = read_counts(self.depth_file)
-        source, field = str(self.depth_file), "rgbd.depth_file"
-        if largest_count is not None:
-            if self.depth_range_m is None:
-                got = "whole numbers without a scale"
-                raise InputError.single(source, field, "depths in m", got, "add `depth_range_m = [near, far]`")
-            values = np.where(values > 0.0, values, np.nan)
-        known = np.isfinite(values)
-        if not known.any():
-            raise InputError.single(source, field, "known depths", "none: no value is finite")
-        values = np.where(known, values, np.nan)
-        low, high = float(values[known].min()), float(values[known].max())
-        if self.depth_range_m is not None:
-            near, far = self.depth_range_m
-            return np.asarray(near + (values - low) * ((far - near) / (high - low if high > low else 1.0)))
-        if low <= 0.0:
-            raise InputError.single(source, field, "depths above zero, in m", f"{low:g}", "mark unknown ones by NaN")
-        return values
 
 
 @dataclass(frozen=True, config=CONFIG)

@@ -17,8 +17,6 @@ from metafab.core.errors import InputError
 from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.distance import nearest
 from metafab.core.parallel.executor import spread
-from metafab.core.storage.pictures import read_grey
-from metafab.spec.fields import LARGEST
 from metafab.spec.scene import Scene
 
 #: Smallest brightness relative to the picture's mean: no surface is blacker.
@@ -49,23 +47,10 @@ class DepthPicture:
         """Read the files of a scene; InputError if one cannot be read, or shapes and values do not fit."""
         if scene.rgbd is None:
             raise InputError.single("scene", "rgbd", "a picture with its depth", "none")
-        spec, shape = scene.rgbd, scene.field_px
-        depth_m = spec.depths_m()
-        grey = read_grey(spec.image_file)
-        contrast = np.ones(grey.shape) if spec.contrast_file is None else read_grey(spec.contrast_file)
-        for name, values in (("depth_file", depth_m), ("contrast_file", contrast)):
-            if values.shape != grey.shape:
-                raise InputError.single(f"{spec.image_file}", f"rgbd.{name}", f"shape {grey.shape}", f"{values.shape}")
-        sound = np.isfinite(grey) & (grey >= 0.0)
-        if not sound.all() or grey.max() <= 0.0:
-            expected = "finite light, not below zero, and some above"
-            raise InputError.single(str(spec.image_file), "rgbd.image_file", expected, _unsound(grey, sound))
-        sound = (contrast > 0.0) & (contrast <= LARGEST)
-        if not sound.all():
-            expected = f"ratios I_x / I_y above zero, at most {LARGEST:g}"
-            raise InputError.single(str(spec.contrast_file), "rgbd.contrast_file", expected, _unsound(contrast, sound))
+        shape = scene.field_px
+        light, depth_m, contrast = scene.rgbd.arrays()
         # Relative to the largest value first: resampling is in single precision, and the light in any unit.
-        light = grey / grey.max()
+        light = light / light.max()
         brightness = np.maximum(_averaged(light / light.mean(), shape), _DARKEST)
         half = (0.5 * pixel_tangent * shape[1], 0.5 * pixel_tangent * shape[0])
         places = [((np.arange(n) + 0.5) * m / n).astype(int) for n, m in zip(shape, depth_m.shape, strict=True)]
@@ -228,12 +213,6 @@ def _march(
             if below:
                 is_open = 0.0
             share[index] += is_open / points.shape[0]
-
-
-def _unsound(values: FloatArray, sound: NDArray[np.bool_]) -> str:
-    """Number and first example of a picture's values that are not ``sound``; "0 everywhere" if all are."""
-    wrong = values[~sound]
-    return f"{wrong.size} other values, such as {wrong[0]:g}" if wrong.size else "0 everywhere"
 
 
 def _averaged(values: FloatArray, shape: tuple[int, int]) -> FloatArray:

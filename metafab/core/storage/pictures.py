@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from tifffile import TiffFile
 
 _SUFFIXES = {".tif": "tiff", ".tiff": "tiff", ".png": "png", ".npy": "npy", ".npz": "npz"}
-#: Values of a pixel: grey, three colours, or these and transparency.
-_COLOURS = (1, 3, 4)
+#: Values of a pixel: three colours, or these and transparency.
+_COLOURS = (3, 4)
 #: Most pixels of a picture, times its colours or pages, unless the limit ``memory_mb`` is stated: 512 MiB of floats. A
 #: file of up to 10 MB may hold 4096 x 3072, and 64 more for each further byte. Decoding takes 59 bytes a pixel.
 _MOST_SAMPLES, _BYTES_OF_A_SAMPLE = 1 << 26, 8
@@ -64,9 +64,11 @@ def read_counts(path: Path, *, colours: bool = False) -> tuple[FloatArray, float
 
     The values have shape (rows, columns), first row as in the file; the level is the count at which the file type
     saturates, None for floats. 12-bit counts are not rescaled. Colours on the last axis are averaged with ``colours``,
-    else refused. InputError if the file cannot be read, or is no such picture.
+    else refused; a last axis of one value is none. InputError if the file cannot be read, or is no such picture.
     """
     values = read_array(path)
+    if values.ndim == 3 and values.shape[-1] == 1:
+        values = values[..., 0]
     if values.ndim == 3 and values.shape[-1] in _COLOURS and colours:
         values = values[..., :3].mean(axis=-1).astype(values.dtype)
     if values.ndim != 2 or values.size == 0:

@@ -13,7 +13,7 @@ from metafab.core.conventions import FloatArray, sensor_distance_um
 from metafab.core.errors import InputError
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject, load_scene
-from metafab.spec.scene import Rgbd
+from metafab.spec.rgbd import Rgbd
 from tests.conjugate_pair import ANGLE_DEG, FOCAL_LENGTH_MM, FOCUS_DEPTH_M, PIXEL_UM, helix_psf
 
 PIXEL = PIXEL_UM / sensor_distance_um(FOCAL_LENGTH_MM, ANGLE_DEG, FOCUS_DEPTH_M)
@@ -176,10 +176,10 @@ def test_light_has_any_unit(scale: float, psf: Psf, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "value", "message"),
     [
-        ("light", np.nan, "rgbd.image_file.*got 1 other values, such as nan"),
-        ("light", -2.0, "rgbd.image_file.*got 1 other values, such as -2"),
-        ("contrast", 0.0, "rgbd.contrast_file.*got 1 other values, such as 0"),
-        ("contrast", 1e40, "rgbd.contrast_file.*at most 1e.15, got 1 other values, such as 1e.40"),
+        ("light", np.nan, "rgbd.image_file.*got values such as nan in 1 of 2304 pixels; set such pixels to 0"),
+        ("light", -2.0, "rgbd.image_file.*got values such as -2 in 1 of 2304"),
+        ("contrast", 0.0, "rgbd.contrast_file.*got values such as 0 in 1 of 2304 pixels; set such pixels to 1"),
+        ("contrast", 1e40, "rgbd.contrast_file.*at most 1e.15, got values such as 1e.40 in 1 of 2304 pixels; set such"),
     ],
 )
 def test_a_value_that_makes_no_sense_is_named(name: str, value: float, message: str, psf: Psf, tmp_path: Path) -> None:
