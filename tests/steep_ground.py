@@ -17,7 +17,7 @@ from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import textured_pixel_depth
 from metafab.spec import Scene
-from metafab.spec.rgbd import Rgbd
+from metafab.spec.scene import Rgbd
 from tests.conjugate_pair import helix_psf
 
 NEAR_M, FAR_M = 0.00252, 0.00345

@@ -18,7 +18,7 @@ from benchmarks.decode.scene_stacks import KEPT
 from metafab.core.conventions import FloatArray
 from metafab.core.storage.files import file_sha256, whole_file
 from metafab.spec import Scene
-from metafab.spec.rgbd import Rgbd
+from metafab.spec.scene import Rgbd
 
 FIELD_PX = (480, 800)
 #: Depths that a picture's are scaled into, m.

@@ -6,8 +6,7 @@
 - ``terms``    phase terms of a design
 - ``light``    Light: one of several wavelengths that a mask serves
 - ``mask/``    Mask: formats, layers, bias, tone, chip, copies, test structures, exposure; Process
-- ``rgbd``     Rgbd: picture with its depth, and the checks of its files
-- ``scene``    Scene: objects at depths or a picture with its depth, photons, noise
+- ``scene/``   Scene: objects at depths or a picture with its depth, photons, noise
 - ``substrate``  Substrate: birefringent plate before the pillars
 - ``turned``   keys that turned pillars and full-Stokes imaging do not support
 - ``construct``  unit cells and designs made in Python, without files

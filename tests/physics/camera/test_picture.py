@@ -13,7 +13,7 @@ from metafab.core.conventions import FloatArray, sensor_distance_um
 from metafab.core.errors import InputError
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject, load_scene
-from metafab.spec.rgbd import Rgbd
+from metafab.spec.scene import Rgbd
 from tests.conjugate_pair import ANGLE_DEG, FOCAL_LENGTH_MM, FOCUS_DEPTH_M, PIXEL_UM, helix_psf
 
 PIXEL = PIXEL_UM / sensor_distance_um(FOCAL_LENGTH_MM, ANGLE_DEG, FOCUS_DEPTH_M)

@@ -14,7 +14,7 @@ from metafab.decode import decode
 from metafab.decode.evaluation import overlap
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene
-from metafab.spec.rgbd import Rgbd
+from metafab.spec.scene import Rgbd
 from tests.conjugate_pair import helix_psf
 
 SHAPE = (300, 165)

@@ -10,7 +10,7 @@ import pytest
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.spec import load_scene
-from metafab.spec.rgbd import Rgbd
+from metafab.spec.scene import Rgbd
 
 SHAPE = (4, 6)
 RANGE_M = (0.3, 0.6)

@@ -12,7 +12,7 @@ from pydantic import Field
 from pydantic.dataclasses import dataclass
 
 from metafab.spec.fields import CONFIG, Checked, Fraction, NonNegative, Positive, Real
-from metafab.spec.rgbd import Rgbd
+from metafab.spec.scene.rgbd import Rgbd
 
 
 @dataclass(frozen=True, config=CONFIG)
