@@ -11,6 +11,7 @@
 
 from metafab.camera.capture import batch as batch
 from metafab.camera.capture import capture, draws, film
+from metafab.camera.capture import require_fit as require_fit
 from metafab.camera.exact import exact_psf
 from metafab.camera.frames.batch import Draw as Draw
 from metafab.camera.frames.batch import load_draw, save_batch

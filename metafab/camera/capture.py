@@ -112,6 +112,13 @@ def draws(scene: Scene, psf: Psf, seeds: Iterable[int]) -> Iterator[RawFrame]:
     yield from _draws(scene, psf, _blurs(psf), seeds)
 
 
+def require_fit(scene: Scene, psf: Psf) -> None:
+    """Raise the InputError of :func:`capture` for a field or a picture that does not fit the pair, before any blur."""
+    sensor_windows(scene, psf, ImageMap.from_psf(psf))
+    if scene.rgbd is not None:
+        DepthPicture.of(scene, psf.pixel_um / psf.sensor_distance_um).require_inside(psf.depth_m)
+
+
 def batch(scenes: Iterable[Scene], psf: Psf, count: int, seed: int) -> Iterator[Draw]:
     """Expose the first frames of scenes, ``count`` times each, with one seed after the other from ``seed`` on.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -93,12 +94,25 @@ def frame_files(path: Path, frames: int) -> list[Path]:
     return [path.with_name(f"{path.stem}_{number:04d}{path.suffix}") for number in range(1, frames + 1)]
 
 
+@contextmanager
+def _of_file(path: Path | None) -> Iterator[None]:
+    """Head the InputErrors of a scene, and of the files that it names, by the path of its own file, if there is one."""
+    try:
+        yield
+    except InputError as error:
+        if path is None:
+            raise
+        source = str(path) if error.source == "scene" else f"{path} -> {error.source}"
+        raise InputError(source, error.faults) from error
+
+
 def capture(
     scene: Scene,
     psf_path: Path,
     path: Path,
     frames: int = 1,
     *,
+    scene_path: Path | None = None,
     seed: int | None = None,
     black: int = 0,
     progress: Progress = silent,
@@ -106,7 +120,8 @@ def capture(
     """Simulate the frames of a scene through a stored PSF pair, write each and yield it with its path.
 
     Several frames get numbers from 1. An ``.h5`` holds electrons and the truth; a TIFF, PNG or NumPy file holds whole
-    counts over ``black``, as a camera writes them. ``seed`` of the noise is that of the scene by default.
+    counts over ``black``, as a camera writes them. ``seed`` of the noise is that of the scene by default. Errors name
+    ``scene_path``, the scene's file, if given.
     """
     from metafab import camera, optics
 
@@ -114,7 +129,9 @@ def capture(
     psf, filmed = optics.load(psf_path), replace(scene, frames=frames)
     inputs = fingerprint(scene, frames, seed, file_sha256(psf_path))
     shots = camera.film(filmed, psf, seed=seed, progress=progress)
-    for file, frame in zip(frame_files(path, frames), shots, strict=True):
+    for file in frame_files(path, frames):
+        with _of_file(scene_path):
+            frame = next(shots)
         if path.suffix.lower() in HDF5_SUFFIXES:
             camera.save(frame, file, inputs_sha256=inputs)
         else:
@@ -134,7 +151,8 @@ def capture_batch(
     """Simulate frames of scenes through a stored PSF pair, with textures and noise of their own, into one ``.h5`` file.
 
     Each scene has ``draws`` frames; ``seed`` is that of the first frame (default: of the first scene), and each next
-    frame has the next one. InputError if a scene does not fit the pair, or the fields are unlike; nothing is written.
+    frame has the next one. InputError with the scene's file if a scene does not fit the pair, or the fields are unlike;
+    nothing is written, and fields and pictures are checked before the first frame.
     """
     from metafab import camera, optics
 
@@ -148,11 +166,17 @@ def capture_batch(
         expected = f"a seed of which the last of {total} is below 2^63, which the file holds"
         raise InputError.single(str(scenes[0][0]), "seed", expected, f"{start}", "start with a smaller one")
     psf, photons = optics.load(psf_path), 0.0
+    for file, scene in scenes:
+        with _of_file(file):
+            camera.require_fit(scene, psf)
     shape: tuple[int, ...] = ()
 
     def frames() -> Iterator[camera.Draw]:
         nonlocal photons, shape
-        for done, draw in enumerate(camera.batch([scene for _, scene in scenes], psf, draws, start), start=1):
+        shots = camera.batch([scene for _, scene in scenes], psf, draws, start)
+        for done in range(1, total + 1):
+            with _of_file(scenes[(done - 1) // draws][0]):
+                draw = next(shots)
             photons, shape = photons + float(draw.frame.frame.sum()), draw.frame.frame.shape
             progress("capture", done, total)
             yield draw
@@ -226,19 +250,29 @@ def _unfit(values: FloatArray) -> Fault | None:
 
 
 def decoded_film(
-    scene: Scene, psf_path: Path, frames: int | None, *, seed: int | None = None, progress: Progress = silent
+    scene: Scene,
+    psf_path: Path,
+    frames: int | None,
+    *,
+    scene_path: Path | None = None,
+    seed: int | None = None,
+    progress: Progress = silent,
 ) -> Iterator[tuple[RawFrame, Image4D]]:
     """Simulate and decode the frames of a moving scene one by one; unchanged regions are decoded once.
 
     One pair serves exposure and decoding. Number of frames and seed of textures and noise are those of the scene by
-    default. InputError if the pair does not suit the scene, or its frames do not hold both images.
+    default. InputError if the pair does not suit the scene, or its frames do not hold both images; it names
+    ``scene_path``, the scene's file, if given.
     """
     from metafab import camera, decode, optics
 
     pair = optics.load(psf_path)
     filmed = scene if frames is None else replace(scene, frames=frames)
     decoder = None
-    for raw in camera.film(filmed, pair, seed=seed, progress=progress):
+    shots = camera.film(filmed, pair, seed=seed, progress=progress)
+    for _ in range(filmed.frames):
+        with _of_file(scene_path):
+            raw = next(shots)
         if decoder is None:
             still = decode.Decoder.of(pair, raw.frame.shape, raw.origin_um, raw.x_window)
             if still is None:

@@ -110,6 +110,40 @@ def test_scenes_of_unlike_fields_are_refused_before_the_first_frame(folder: Path
     assert not (folder / "unlike.h5").exists()
 
 
+def _picture(folder: Path, name: str, depth_m: float, *more: str) -> Path:
+    """A scene file of a picture with one depth."""
+    np.save(folder / f"{name}_light.npy", np.ones((72, 72)))
+    np.save(folder / f"{name}_depth.npy", np.full((72, 72), depth_m))
+    files = f'image_file = "{name}_light.npy"\ndepth_file = "{name}_depth.npy"\n'
+    (folder / f"{name}.toml").write_text("\n".join([*more, "field_px = [72, 72]", "[rgbd]", files]))
+    return folder / f"{name}.toml"
+
+
+@pytest.mark.parametrize(("depth_m", "words"), [(0.3, "inside the PSF calibration"), (-1.0, "above zero")])
+def test_a_batch_names_the_scene_file_at_fault_before_the_first_frame(folder: Path, depth_m: float, words: str) -> None:
+    sound, unfit = _picture(folder, "sound", 0.0028), _picture(folder, "unfit", depth_m)
+    scenes = [(path, load_scene(path)) for path in (sound, unfit)]
+    calls: list[tuple[str, int, int]] = []
+    with pytest.raises(InputError, match=words) as refused:
+        capture_batch(scenes, folder / "psf.h5", folder / "no.h5", 2, progress=lambda *call: calls.append(call))
+    assert not calls and not (folder / "no.h5").exists()
+    # The scene's own fault, or that of a file which it names.
+    assert refused.value.source.split(" -> ")[0] == str(unfit)
+
+
+def test_errors_of_objects_name_the_scene_file_in_frames_films_and_batches(folder: Path) -> None:
+    (folder / "far.toml").write_text(SCENE.replace("0.0028", "0.28"))
+    pair = ("--psf", folder / "psf.h5")
+    for command in (
+        ("capture", folder / "far.toml", *pair, "-o", folder / "no.h5"),
+        ("film", folder / "far.toml", *pair, "-o", folder / "no.gif"),
+        ("capture", folder / "scene.toml", folder / "far.toml", *pair, "--draws", "1", "-o", folder / "no.h5"),
+    ):
+        answer = metafab(*command)
+        assert answer.code == 2
+        assert f"{folder / 'far.toml'}:" in answer.stderr and "inside the PSF calibration" in answer.stderr
+
+
 def test_a_film_is_decoded_frame_by_frame_and_drawn(folder: Path) -> None:
     command = ("film", folder / "scene.toml", "--psf", folder / "psf.h5", "--json", "-o")
     first, second = (metafab(*command, folder / name) for name in ("a.gif", "b.gif"))

@@ -41,20 +41,21 @@ class DepthPicture:
     depth_m: FloatArray  #: Shape (n_y, n_x), nearest neighbour of the file's; NaN for a hole.
     contrast: FloatArray  #: Shape (n_y, n_x), I_x / I_y.
     extent: tuple[float, float]  #: (x/z, y/z) from the middle to the sides.
+    is_scaled: bool = False  #: Whether the scene scales the file's depths.
 
     @classmethod
     def of(cls, scene: Scene, pixel_tangent: float) -> DepthPicture:
         """Read the files of a scene; InputError if one cannot be read, or shapes and values do not fit."""
         if scene.rgbd is None:
             raise InputError.single("scene", "rgbd", "a picture with its depth", "none")
-        shape = scene.field_px
+        shape, is_scaled = scene.field_px, scene.rgbd.depth_range_m is not None
         light, depth_m, contrast = scene.rgbd.arrays()
         # Relative to the largest value first: resampling is in single precision, and the light in any unit.
         light = light / light.max()
         brightness = np.maximum(_averaged(light / light.mean(), shape), _DARKEST)
         half = (0.5 * pixel_tangent * shape[1], 0.5 * pixel_tangent * shape[0])
         places = [((np.arange(n) + 0.5) * m / n).astype(int) for n, m in zip(shape, depth_m.shape, strict=True)]
-        return cls(brightness, depth_m[np.ix_(*places)], _averaged(contrast, shape), half)
+        return cls(brightness, depth_m[np.ix_(*places)], _averaged(contrast, shape), half, is_scaled)
 
     def at(self, tangent_x: FloatArray, tangent_y: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Brightness, depth and contrast in directions of shape (n_y, n_x); the rim goes on beyond the picture."""
@@ -66,6 +67,18 @@ class DepthPicture:
             map_coordinates(values, place, order=1, mode="nearest") for values in (self.brightness, self.contrast)
         )
         return brightness, map_coordinates(self.depth_m, place, order=0, mode="nearest"), contrast
+
+    def require_inside(self, calibrated_m: FloatArray) -> None:
+        """Raise InputError if depths are outside the calibrated ones, shape (n,)."""
+        known = self.depth_m[np.isfinite(self.depth_m)]
+        nearest, farthest = calibrated_m.min(), calibrated_m.max()
+        if not known.size or (known.min() >= nearest * (1.0 - 1e-9) and known.max() <= farthest * (1.0 + 1e-9)):
+            return
+        expected = f"depths inside the PSF calibration, {nearest:g} to {farthest:g} m"
+        field = "rgbd.depth_range_m" if self.is_scaled else "rgbd.depth_file"
+        remedy = "change the range" if self.is_scaled else "scale them by `depth_range_m`"
+        remedy += ", or calibrate the PSF over their range (`metafab psf --depths-m ...`)"
+        raise InputError.single("scene", field, expected, f"{known.min():g} to {known.max():g} m", remedy)
 
 
 @dataclass(frozen=True)
@@ -100,11 +113,7 @@ def surfaces(
     known = np.isfinite(depth_m)
     if not known.any():
         return []
-    near, far = calibrated_m.min() * (1.0 - 1e-9), calibrated_m.max() * (1.0 + 1e-9)
-    if depth_m[known].min() < near or depth_m[known].max() > far:
-        got = f"{depth_m[known].min():g} to {depth_m[known].max():g} m"
-        expected = f"depths inside the PSF calibration, {calibrated_m.min():g} to {calibrated_m.max():g} m"
-        raise InputError.single("scene", "rgbd.depth_file", expected, got, "scale them by `depth_range_m`")
+    picture.require_inside(calibrated_m)
     # Holes hide nothing and have no light: they count as infinitely far.
     vergence = np.where(known, 1.0 / np.where(known, depth_m, 1.0), 0.0)
     reach = float(np.abs(shifts_px_m).max())

@@ -115,7 +115,7 @@ def capture_command(
     for file in frame_files(path, frames):
         require_file_output(file, [*scenes, psf, *named_files(scene)])
     with open_work() as (work, cost):
-        filmed = capture(scene, psf, path, frames, seed=seed, black=black, progress=work.progress)
+        filmed = capture(scene, psf, path, frames, scene_path=scenes[0], seed=seed, black=black, progress=work.progress)
         for frame, file in filmed:
             counts = counts_of(frame, black=black) if in_counts else None
             shape = frame.frame.shape
@@ -153,7 +153,7 @@ def film_command(
     moving = load_scene(scene)
     require_file_output(path, [scene, psf, *named_files(moving)])
     with open_work() as (work, cost):
-        film = list(decoded_film(moving, psf, frames, seed=seed, progress=work.progress))
+        film = list(decoded_film(moving, psf, frames, scene_path=scene, seed=seed, progress=work.progress))
         report.write_film(film, path, frame_interval_s=moving.frame_interval_s)
     show(FilmFigures.of(film), json_, seconds=cost.seconds, file=path)
 
