@@ -36,6 +36,9 @@ _LARGEST_MISMATCH, _MISMATCH_PER_NOISE = 0.01, 0.25
 #: Share of the segments' pixels by which a calibration is judged, those whose twins agree best: a wrong calibration
 #: spoils all pixels; small objects that hide each other spoil many, but not all.
 _JUDGED_SHARE = 0.25
+#: Side of the squares in which a doubted calibration is judged again, frame pixels: as wide as the windows that measure
+#: depths.
+_PIECE_PX = 28
 
 Patch = tuple[tuple[slice, slice], "PixelMaps", tuple[slice, slice]]
 
@@ -248,24 +251,80 @@ def _mismatch_figures(volume: CostVolume, prepared: PreparedFrame, regions: Regi
     """
     if not regions.depths:
         return DecodingFigures(warning="the twins agree at no depth: no texture, or another camera's calibration")
-    count = len(regions.depths)
-    number = regions.label.ravel()
-    pixels = np.bincount(number, minlength=count + 1)[1:]
-    images = np.maximum(prepared.inner, np.float32(0.0))
-    light = np.stack([np.bincount(number, image.ravel(), count + 1)[1:] for image in images]) / np.maximum(pixels, 1)
     power = np.array([depth.power for depth in regions.depths])
-    noise = volume.noise_gain * (light + prepared.levels.read_noise_e**2)
-    texture = power_without_noise(power, light, noise)
     common = np.array([depth.correlation for depth in regions.depths]) * power
-    mismatches = np.where(texture > 0.0, 1.0 - common / np.maximum(texture, 1e-30), 1.0)
+    twins = _TwinPower.of(regions.label, len(power), power, common, volume, prepared)
+    mismatches = np.where(twins.texture > 0.0, 1.0 - common / np.maximum(twins.texture, 1e-30), 1.0)
     best = np.argsort(mismatches)
-    judged = best[np.searchsorted(np.cumsum(pixels[best]), _JUDGED_SHARE * pixels.sum())]
+    judged = best[np.searchsorted(np.cumsum(twins.pixels[best]), _JUDGED_SHARE * twins.pixels.sum())]
     mismatch = max(0.0, float(mismatches[judged]))
-    noise_share = float((power[judged] - texture[judged]) / max(float(texture[judged]), 1e-30))
-    if mismatch <= _LARGEST_MISMATCH + _MISMATCH_PER_NOISE * noise_share:
+    if not twins.is_doubted(best[judged == best]) or not _pieces_are_doubted(volume, prepared, regions):
         return DecodingFigures(twin_mismatch=mismatch)
     warning = f"the twins differ by {100.0 * mismatch:.0f} % of their power: is this the camera's calibration?"
     return DecodingFigures(twin_mismatch=mismatch, warning=warning)
+
+
+@dataclass(frozen=True)
+class _TwinPower:
+    """Powers of the filtered twins in groups of pixels, arrays of shape (n,); electrons squared."""
+
+    pixels: FloatArray  #: Number of pixels.
+    power: FloatArray  #: Geometric mean of both twins.
+    common: FloatArray  #: Covariance of the twins.
+    texture: FloatArray  #: ``power`` without its noise; 0 where noise explains it.
+
+    @classmethod
+    def of(
+        cls,
+        label: NDArray[np.int32],
+        count: int,
+        power: FloatArray,
+        common: FloatArray,
+        volume: CostVolume,
+        prepared: PreparedFrame,
+    ) -> _TwinPower:
+        """Powers of the groups that ``label``, shape (n_y, n_x), numbers from 1 to ``count``; 0 for none."""
+        number = label.ravel()
+        pixels = np.bincount(number, minlength=count + 1)[1:].astype(np.float64)
+        images = np.maximum(prepared.inner, np.float32(0.0))
+        sums = np.array([np.bincount(number, image.ravel(), count + 1)[1:] for image in images])
+        light: FloatArray = sums / np.maximum(pixels, 1.0)
+        noise: FloatArray = volume.noise_gain * (light + prepared.levels.read_noise_e**2)
+        return cls(pixels, power, common, power_without_noise(power, light, noise))
+
+    def is_doubted(self, groups: NDArray[np.intp]) -> bool:
+        """Whether the twins of some groups together differ by more than a calibration's errors and noise explain."""
+        texture, power, common = (
+            float((self.pixels * values)[groups].sum()) for values in (self.texture, self.power, self.common)
+        )
+        return texture > 0.0 and texture - common > _LARGEST_MISMATCH * texture + _MISMATCH_PER_NOISE * (
+            power - texture
+        )
+
+
+def _pieces_are_doubted(volume: CostVolume, prepared: PreparedFrame, regions: Regions) -> bool:
+    """Whether the twins differ in pieces of segments, too, each pixel at its own depth.
+
+    A segment may hold a curved surface, outlines and unlike contrasts, most of all in a small picture. These spoil its
+    correlation behind the right calibration, but not that of all squares of :data:`_PIECE_PX`.
+    """
+    side = max(1, round(_PIECE_PX / prepared.downsampling.step))
+    row, column = (np.arange(n) // side for n in regions.label.shape)
+    square = row[:, None] * (column[-1] + 1) + column
+    own = np.where(regions.label > 0, regions.label * (square.max() + 1) + square, 0)
+    names, piece = np.unique(own, return_inverse=True)
+    piece = piece.reshape(own.shape).astype(np.int32) + (names[0] > 0)
+    count = int(piece.max())
+    vergence = regions.vergence_per_m(regions.label)
+    products = volume.at(np.where(np.isfinite(vergence), vergence, volume.vergences_per_m[0])[None])[:, 0]
+    sums = [np.bincount(piece.ravel(), one.ravel(), count + 1)[1:] for one in products]
+    pixels = np.bincount(piece.ravel(), minlength=count + 1)[1:]
+    power = np.sqrt(np.maximum(sums[1], 0.0) * np.maximum(sums[2], 0.0)) / pixels
+    twins = _TwinPower.of(piece, count, power, sums[0] / pixels, volume, prepared)
+    texture = np.maximum(twins.texture, 1e-30)
+    excess = (texture - twins.common - _MISMATCH_PER_NOISE * (power - texture)) / texture
+    best = np.argsort(np.where(twins.texture > 0.0, excess, np.inf))
+    return twins.is_doubted(best[: np.searchsorted(np.cumsum(pixels[best]), _JUDGED_SHARE * pixels.sum()) + 1])
 
 
 def power_without_noise(power: FloatArray, light: FloatArray, noise: FloatArray) -> FloatArray:
