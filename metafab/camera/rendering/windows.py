@@ -77,7 +77,8 @@ def sensor_windows(scene: Scene, psf: Psf, image_map: ImageMap) -> tuple[Window,
     most_mb = max(_MOST_MB, limit("memory_mb", _MOST_MB))  # a lower one is meant for files
     if n_y * n_x * _BYTES_OF_A_PIXEL > 1e6 * most_mb:
         most = f"at most {1e6 * most_mb / _BYTES_OF_A_PIXEL:.3g} pixels of the field, for {most_mb:g} MB"
-        raise beyond("scene", "field_px", "memory_mb", most, f"{n_y} x {n_x}", "use a smaller field")
+        got = f"{n_y} x {n_x}, which take {math.ceil(1e-6 * n_y * n_x * _BYTES_OF_A_PIXEL)} MB"
+        raise beyond("scene", "field_px", "memory_mb", most, got, "use a smaller field")
     axis_x, axis_y = image_map.coefficients_um[0, :, 0, 0]
     column, row = round(axis_x / pixel) - n_x // 2, round(axis_y / pixel) - n_y // 2
     edge_x, edge_y = (np.arange(n_x + 1) - 0.5 + column) * pixel, (np.arange(n_y + 1) - 0.5 + row) * pixel

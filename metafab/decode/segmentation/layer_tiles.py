@@ -36,13 +36,17 @@ _POOLED_PX = 4.0
 _GUARD_PX = 12
 #: Relative difference of vergence from which a layer is nearer than another.
 _NEARER = 2e-3
-#: Bytes that a pixel of a tile takes for each layer: transforms of the pair and of the light, shares, masks.
-_BYTES_A_PIXEL = 50
+#: Bytes that a pixel of a tile takes for each layer: transforms of the pair and of the light, shares, masks. 94 to 130
+#: measured with 48 to 58 pairs of a tile and a layer (peak of tracemalloc in the frame model's methods, less what was
+#: held before; frames of 300 x 170 px, on one and two cores), of which 23 to 27 last from round to round. With 8 to 27
+#: pairs the peak is up to 170, because the threads' arrays count for more.
+_BYTES_A_PIXEL = 130
 #: Pairs of a tile and a layer that are computed at once: more leave the cache, fewer take more calls. 4 take a tenth
 #: longer.
 _PAIRS_AT_ONCE = 12
-#: Most memory of the tiles, bytes.
-_MOST_BYTES = 1 << 30
+#: Most memory of the tiles, bytes: 2.5 GiB are some 3000 pairs of a tile and a layer, a frame of 12 million pixels with
+#: outlines in most tiles.
+_MOST_BYTES = 5 << 29
 
 
 @dataclass(frozen=True)

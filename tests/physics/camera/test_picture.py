@@ -11,6 +11,7 @@ import pytest
 from metafab.camera import RawFrame, capture
 from metafab.core.conventions import FloatArray, sensor_distance_um
 from metafab.core.errors import InputError
+from metafab.core.storage.limits import limited
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject, load_scene
 from metafab.spec.scene import Rgbd
@@ -196,6 +197,15 @@ def test_a_field_beyond_all_memory_is_refused_before_any_is_taken(psf: Psf, tmp_
     scene = picture(tmp_path, np.ones((SIDE, SIDE)), np.full((SIDE, SIDE), 0.00283))
     with pytest.raises(InputError, match=r"field_px.*at most 1.6e.07 pixels.*got 1000000 x 1000000"):
         capture(replace(scene, field_px=(1_000_000, 1_000_000)), psf)
+
+
+def test_a_field_above_16_million_pixels_says_what_limit_it_needs(psf: Psf, tmp_path: Path) -> None:
+    scene = picture(tmp_path, np.ones((SIDE, SIDE)), np.full((SIDE, SIDE), 0.00283))
+    with pytest.raises(InputError, match=r"got 4000 x 4200, which take 4301 MB; .*`--limit memory_mb=N`"):
+        capture(replace(scene, field_px=(4000, 4200)), psf)
+    # With that limit, the field is refused for its images alone, which overlap.
+    with limited(memory_mb=4301), pytest.raises(InputError, match="side by side"):
+        capture(replace(scene, field_px=(4000, 4200)), psf)
 
 
 def test_all_missing_files_are_named(psf: Psf, tmp_path: Path) -> None:
