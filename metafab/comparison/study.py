@@ -7,6 +7,7 @@ split lens and sensor; their phases differ.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -116,6 +117,11 @@ class Comparison:
     #: Shape (n_cameras, n_depth), relative rms error of the best linear restoration of the texture.
     restored: FloatArray
 
+    @property
+    def error_scatter(self) -> float:
+        """Relative standard error of ``error`` at one depth, an rms over few photographs of normal errors."""
+        return 1.0 / math.sqrt(2.0 * self.planes)
+
 
 def compare(design: Design, *, planes: int = 6, contrast: float = 0.25, progress: Progress = silent) -> Comparison:
     """Compare a design with a standard lens and a double helix of equal aperture, light and sensor.
@@ -212,6 +218,7 @@ class ComparisonFigures:
 
     depth_error: dict[str, float]  #: Rms relative error over all depths, by method.
     depth_bound: dict[str, float]  #: Rms of the bounds, by method.
+    error_scatter: float  #: Relative standard error of a depth error at one depth, from the number of photographs.
     restored_error: dict[str, RestorationRange]  #: Relative rms error of the best restoration, by camera.
     planes: int  #: Number of photographs at each depth.
     side_px: int  #: Side of the window behind each estimate.
@@ -226,6 +233,7 @@ def comparison_figures(comparison: Comparison) -> ComparisonFigures:
     return ComparisonFigures(
         depth_error=dict(zip(comparison.methods, error, strict=True)),
         depth_bound=dict(zip(comparison.methods, bound, strict=True)),
+        error_scatter=comparison.error_scatter,
         restored_error=dict(zip(comparison.cameras, ranges, strict=True)),
         planes=comparison.planes,
         side_px=comparison.side_px,

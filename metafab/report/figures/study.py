@@ -116,11 +116,13 @@ def proposed_orientation(choices: Sequence[Proposal], axes: Axes) -> Axes:
 
 
 def rival_depth_errors(comparison: Comparison, axes: Axes) -> Axes:
-    """Draw the rms error of depth over depth for each camera and estimate; its bound is dotted."""
+    """Draw the rms error of depth over depth for each camera and estimate, with its scatter; its bound is dotted."""
     scale, unit = depth_unit(comparison.depth_m)
+    less, more = 1.0 - comparison.error_scatter, 1.0 + comparison.error_scatter
     for name, error, bound, ink in zip(comparison.methods, comparison.error, comparison.bound, _INKS, strict=True):
         axes.plot(scale * comparison.depth_m, 100.0 * error, "o-", color=ink, linewidth=1.4, markersize=3, label=name)
         axes.plot(scale * comparison.depth_m, 100.0 * bound, color=ink, linewidth=1.0, linestyle=":")
+        axes.vlines(scale * comparison.depth_m, 100.0 * less * error, 100.0 * more * error, color=ink, linewidth=0.8)
     axes.plot([], [], color=MUTED, linewidth=1.0, linestyle=":", label="bound of each")
     dress(axes, f"object depth / {unit}", "rms error of depth, %", "Depth of a textured plane")
     logarithmic(axes, "y")

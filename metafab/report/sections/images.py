@@ -97,7 +97,8 @@ def comparison(run: RunFolder, drawn: Drawn) -> str:
         f"Target phases with equal aperture, light and sensor. Planes of 1/f texture fill the view: {result.planes} at "
         f"each depth, {result.electrons:g} electrons a pixel and image, contrast {result.contrast:g}, windows of "
         f"{result.side_px} x {result.side_px} px. All cameras use one likelihood, with the texture's spectrum known. "
-        "Dotted: the Cramér-Rao bound for tapered windows; light from beyond their edges keeps the estimates above it. "
+        "Dotted: the Cramér-Rao bound for tapered windows; light from beyond their edges keeps the estimates above it, "
+        f"but for scatter: an error at one depth is known to {100.0 * result.error_scatter:.0f} % (bars). "
         "For a texture of unknown spectrum, a lens and a double helix give no depth."
     )
     return html.section(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metafab.comparison import Comparison, save_comparison
+from metafab.comparison import Comparison, comparison_figures, save_comparison
 from metafab.report import comparison_figure
 from metafab.report.draw import draw
 from metafab.report.figures import study as figures
@@ -37,6 +37,10 @@ def test_errors_are_drawn_in_per_cent_with_their_bounds(comparison: Comparison, 
     assert dotted.get_linestyle() == axes.lines[1].get_linestyle() == ":"
     np.testing.assert_allclose(np.asarray(axes.lines[0].get_ydata(), dtype=float), [0.1, 0.2, 0.3])
     np.testing.assert_allclose(np.asarray(axes.lines[1].get_ydata(), dtype=float), [0.01, 0.02, 0.03])
+    # Bars of the scatter: six errors give their rms to 1 / sqrt(12).
+    bars = np.array(axes.collections[0].get_segments())
+    np.testing.assert_allclose(bars[:, 1, 1] / bars[:, 0, 1], (1.0 + 12**-0.5) / (1.0 - 12**-0.5))
+    assert comparison.error_scatter == comparison_figures(comparison).error_scatter == pytest.approx(12**-0.5)
     _, axes = panel()
     figures.rival_sharpness(comparison, axes)
     assert [line.get_label() for line in axes.lines] == list(METHODS[:4])
