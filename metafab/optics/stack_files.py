@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,10 @@ from metafab.core.storage.files import HDF5_SUFFIXES
 from metafab.core.storage.limits import require_modest_table
 from metafab.core.storage.pictures import read_array, require_few
 
+#: Files of one array, as :func:`read_array` reads them.
+_PICTURES = (".npy", ".npz", ".tif", ".tiff", ".png")
+#: A line of a table in which a comma is the decimal point: as two depths, 0,25 would be 0 and 25 m.
+_DECIMAL_COMMA = re.compile(r"-?0,\d+")
 _REMEDY = "export the stack as .npy of shape (depths, rows, columns) or (2, depths, rows, columns)"
 
 
@@ -41,10 +46,17 @@ def read_stack(path: Path, depths: int, names: Sequence[str] = ()) -> FloatArray
         if names:
             expected = "a MATLAB or HDF5 file, where an array has a name"
             raise InputError.single(str(path), "--dataset", expected, f"a {suffix} file", "leave --dataset out")
+        if suffix not in _PICTURES:
+            expected = f"a .mat, .h5, {', '.join(_PICTURES[:-1])} or {_PICTURES[-1]} file"
+            raise InputError.single(str(path), "file", expected, repr(suffix), _REMEDY)
         arrays = [read_array(path)]
     else:
         if not path.is_file():
-            raise InputError.single(str(path), "file", "a stack of pictures", "no file at that path", "check the path")
+            got = "a folder" if path.is_dir() else "no file at that path"
+            raise InputError.single(str(path), "file", "a stack of pictures", got, "check the path")
+        if not path.stat().st_size:
+            expected = "a readable MATLAB or HDF5 file"
+            raise InputError.single(str(path), "file", expected, "an empty file", "was it written whole?")
         read = _read_hdf5 if h5py.is_hdf5(path) else _read_matlab
         try:
             arrays = read(path, names)
@@ -70,16 +82,26 @@ def read_depths(path: Path) -> FloatArray:
         if values.dtype.kind not in "iuf":
             raise InputError.single(str(path), "depths", "real numbers", str(values.dtype))
         return values.astype(np.float64).ravel()
+    remedy = "one depth in metres a line, with a decimal point"
     try:
         require_modest_table(path)
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-        words = [word for line in lines for word in line.partition("#")[0].replace(",", " ").split()]
-        if not words:
-            raise ValueError("no number")
-        return np.array([float(word) for word in words])
-    except (OSError, ValueError) as error:
-        remedy = "one depth in metres a line"
-        raise InputError.single(str(path), "depths", "a readable table of numbers", str(error), remedy) from error
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        got = "no text in UTF-8" if isinstance(error, UnicodeDecodeError) else f"none ({error.strerror or error})"
+        raise InputError.single(str(path), "depths", "a readable table of numbers", got, remedy) from error
+    lines = [line for each in text.splitlines() if (line := each.partition("#")[0].strip())]
+    if len(lines) > 1 and all(_DECIMAL_COMMA.fullmatch(line) for line in lines):
+        raise InputError.single(str(path), "depths", "numbers", f"decimal commas, such as {lines[0]}", remedy)
+    depths_m: list[float] = []
+    for word in (word for line in lines for word in line.replace(",", " ").split()):
+        try:
+            depths_m.append(float(word))
+        except ValueError:
+            got = repr(word) if len(word) <= 40 else repr(word[:37] + "...")
+            raise InputError.single(str(path), "depths", "a readable table of numbers", got, remedy) from None
+    if not depths_m:
+        raise InputError.single(str(path), "depths", "a readable table of numbers", "no number", remedy)
+    return np.array(depths_m)
 
 
 def _read_hdf5(path: Path, names: Sequence[str]) -> list[np.ndarray]:
@@ -121,9 +143,8 @@ def _chosen(path: Path, shapes: dict[str, tuple[int, ...]], names: Sequence[str]
         expected = f"an array of the file ({held})"
         raise InputError.single(str(path), "--dataset", expected, ", ".join(missing), "choose one of these")
     if not wanted and len(stacks) != 1:
-        raise InputError.single(
-            str(path), "content", "one array of 3 or 4 axes", held, "choose with --dataset NAME, once for each channel"
-        )
+        remedy = "choose with --dataset NAME, once for each channel" if stacks else _REMEDY
+        raise InputError.single(str(path), "content", "one array of 3 or 4 axes", held, remedy)
     chosen = wanted or stacks
     for name in chosen:
         require_few(path, *shapes[name])

@@ -76,7 +76,7 @@ def test_a_camera_s_frame_is_decoded(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--depths", *DEPTHS[::-1]], "increasing"),
+        (["--depths", *DEPTHS[::-1]], "stack.h5:\n  `--depths`: expected finite, increasing depths"),
         (["--depths", "none.csv"], "none.csv"),
         (["--depths", *DEPTHS, "--channels", "1"], "--channels"),
         (["--depths", *DEPTHS, "-o", "psf.txt"], "psf.txt"),

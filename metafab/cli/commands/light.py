@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -237,17 +238,22 @@ def import_command(
     values = read_stack(stack, len(depth_m), datasets or ())
     if channels is not None and channels != len(values):
         raise InputError.single(str(stack), "--channels", f"{channels}", f"{len(values)}", "name them with --dataset")
-    psf, figures = psf_of_stack(
-        values[..., ::-1, :] if first_row == "top" else values,
-        depth_m,
-        pixel_um,
-        split_um=split_um,
-        distance_mm=distance_mm,
-        zero_m=zero_m,
-        centring=centring,
-        integrated=not sampled,
-        split_lens=split_lens,
-    )
+    try:
+        psf, figures = psf_of_stack(
+            values[..., ::-1, :] if first_row == "top" else values,
+            depth_m,
+            pixel_um,
+            split_um=split_um,
+            distance_mm=distance_mm,
+            zero_m=zero_m,
+            centring=centring,
+            integrated=not sampled,
+            split_lens=split_lens,
+        )
+    except InputError as error:  # its faults are named by the arguments of the function
+        names = {"depths": "--depths", "zero_m": "--zero-m", "split_lens": "--split-lens", "centring": "--centre"}
+        faults = [replace(fault, field=names.get(fault.field, fault.field)) for fault in error.faults]
+        raise InputError(str(stack), faults) from error
     optics.save(psf, path, inputs_sha256=fingerprint(file_sha256(stack), plain(figures)))
     announce([*(f"made: {sentence}" for sentence in figures.made), *figures.warnings])
     show(figures, json_, file=path)

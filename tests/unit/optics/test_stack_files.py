@@ -109,3 +109,46 @@ def test_depths_from_files(tmp_path: Path) -> None:
     for name in ("bad.csv", "empty.csv", "none.csv", "none.npy"):
         with pytest.raises(InputError, match=name):
             read_depths(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("depth\n0.25\n", "got 'depth'; one depth in metres a line"),
+        ("0.25;0.30;0.35;0.40;0.45;0.50;0.55;0.60;0.65;0.70", r"got '0.25;0.30;.*\.\.\.';"),
+        ("0,25\n0,30\n0,35\n", "got decimal commas, such as 0,25; one depth in metres a line, with a decimal point"),
+        ("", "got no number"),
+        ("Ma\u00df", "got 'Ma\u00df'"),
+    ],
+)
+def test_a_table_that_holds_something_else_says_what(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "table.csv").write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=message):
+        read_depths(tmp_path / "table.csv")
+
+
+def test_a_table_that_cannot_be_read_says_why(tmp_path: Path) -> None:
+    (tmp_path / "latin.csv").write_bytes("# Ma\u00df\n0.25".encode("latin-1"))
+    (tmp_path / "folder.csv").mkdir()
+    for name, got in (
+        ("latin", "no text in UTF-8"),
+        ("none", "none .No such file"),
+        ("folder", "none .Is a directory"),
+    ):
+        with pytest.raises(InputError, match=f"expected a readable table of numbers, got {got}"):
+            read_depths(tmp_path / f"{name}.csv")
+
+
+def test_stacks_that_are_no_files_or_of_another_kind(tmp_path: Path) -> None:
+    (tmp_path / "empty.h5").touch()
+    (tmp_path / "folder.mat").mkdir()
+    (tmp_path / "film.avi").touch()
+    savemat(tmp_path / "flat.mat", {"psf": STACK[0, 0]})
+    for name, words in (
+        ("empty.h5", "an empty file"),
+        ("folder.mat", "a folder"),
+        ("film.avi", r"expected a .mat, .h5, .npy, .npz, .tif, .tiff or .png file, got '.avi'"),
+        ("flat.mat", "got none; export the stack"),
+    ):
+        with pytest.raises(InputError, match=words):
+            read_stack(tmp_path / name, DEPTHS)
