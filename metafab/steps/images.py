@@ -15,6 +15,7 @@ from metafab.core.errors import Fault, InputError
 from metafab.core.figures import DecodingFigures, SegmentFigures
 from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import HDF5_SUFFIXES, file_sha256, fingerprint
+from metafab.core.storage.provenance import named_files
 from metafab.spec import Scene
 from metafab.spec.fields import LARGEST
 from metafab.steps.job import Job, Step, in_folder, no_images
@@ -95,12 +96,13 @@ def frame_files(path: Path, frames: int) -> list[Path]:
 
 
 @contextmanager
-def _of_file(path: Path | None) -> Iterator[None]:
+def of_scene_file(path: Path | None, scene: Scene) -> Iterator[None]:
     """Head the InputErrors of a scene, and of the files that it names, by the path of its own file, if there is one."""
     try:
         yield
     except InputError as error:
-        if path is None:
+        named = {str(file) for file in named_files(scene)}
+        if path is None or error.source not in {"scene", *named}:
             raise
         source = str(path) if error.source == "scene" else f"{path} -> {error.source}"
         raise InputError(source, error.faults) from error
@@ -130,7 +132,7 @@ def capture(
     inputs = fingerprint(scene, frames, seed, file_sha256(psf_path))
     shots = camera.film(filmed, psf, seed=seed, progress=progress)
     for file in frame_files(path, frames):
-        with _of_file(scene_path):
+        with of_scene_file(scene_path, scene):
             frame = next(shots)
         if path.suffix.lower() in HDF5_SUFFIXES:
             camera.save(frame, file, inputs_sha256=inputs)
@@ -167,7 +169,7 @@ def capture_batch(
         raise InputError.single(str(scenes[0][0]), "seed", expected, f"{start}", "start with a smaller one")
     psf, photons = optics.load(psf_path), 0.0
     for file, scene in scenes:
-        with _of_file(file):
+        with of_scene_file(file, scene):
             camera.require_fit(scene, psf)
     shape: tuple[int, ...] = ()
 
@@ -175,7 +177,7 @@ def capture_batch(
         nonlocal photons, shape
         shots = camera.batch([scene for _, scene in scenes], psf, draws, start)
         for done in range(1, total + 1):
-            with _of_file(scenes[(done - 1) // draws][0]):
+            with of_scene_file(*scenes[(done - 1) // draws]):
                 draw = next(shots)
             photons, shape = photons + float(draw.frame.frame.sum()), draw.frame.frame.shape
             progress("capture", done, total)
@@ -271,7 +273,7 @@ def decoded_film(
     decoder = None
     shots = camera.film(filmed, pair, seed=seed, progress=progress)
     for _ in range(filmed.frames):
-        with _of_file(scene_path):
+        with of_scene_file(scene_path, scene):
             raw = next(shots)
         if decoder is None:
             still = decode.Decoder.of(pair, raw.frame.shape, raw.origin_um, raw.x_window)

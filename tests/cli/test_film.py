@@ -15,7 +15,7 @@ from metafab.decode import decode
 from metafab.spec import Scene, SceneObject, load_scene
 from metafab.steps.images import capture_batch
 from tests.conjugate_pair import helix_psf
-from tests.main_job import metafab
+from tests.main_job import SMALL, metafab
 
 SCENE = """
 field_px = [72, 72]
@@ -142,6 +142,13 @@ def test_errors_of_objects_name_the_scene_file_in_frames_films_and_batches(folde
         answer = metafab(*command)
         assert answer.code == 2
         assert f"{folder / 'far.toml'}:" in answer.stderr and "inside the PSF calibration" in answer.stderr
+
+
+def test_psfs_of_a_picture_are_refused_by_the_name_of_its_scene_file(folder: Path) -> None:
+    scene = _picture(folder, "picture", 0.0028)
+    answer = metafab("psf", "--ideal", "--design", SMALL, "--scene", scene, "-o", folder / "no.h5")
+    assert answer.code == 2
+    assert f"{scene}:\n  `rgbd`: expected objects" in answer.stderr
 
 
 def test_a_film_is_decoded_frame_by_frame_and_drawn(folder: Path) -> None:

@@ -90,6 +90,7 @@ def psf_command(
     from metafab.core.storage.files import require_hdf5_name
     from metafab.spec import load_scene
     from metafab.steps import optics
+    from metafab.steps.images import of_scene_file
     from metafab.steps.job import light_tangent
 
     if output is not None:
@@ -132,7 +133,9 @@ def psf_command(
         if calibration:
             pair = optics.calibration(job, layout, copy=copy, printed=printed)
         elif scene is not None:
-            pair = optics.scene_pair(job, layout, load_scene(scene), copy=copy, printed=printed)
+            photographed = load_scene(scene)
+            with of_scene_file(scene, photographed):
+                pair = optics.scene_pair(job, layout, photographed, copy=copy, printed=printed)
         else:
             pair, light_at_um = optics.point_spread(
                 job,

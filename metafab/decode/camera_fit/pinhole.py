@@ -122,6 +122,10 @@ def calibrate(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: 
     return _calibrated(predicted, fit), fit
 
 
+#: What to do about a table of depths.
+_LINES = "write one line `frame, depth in m` for each photograph, with a comma and a decimal point"
+
+
 def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
     """Read the depths of frames from a table of lines "file name, depth in m"; lines that start with # are skipped.
 
@@ -131,7 +135,8 @@ def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
         require_modest_table(path)
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError.single(str(path), "file", "a readable table of depths", str(error)) from error
+        got = "no text in UTF-8" if isinstance(error, UnicodeDecodeError) else f"none ({error.strerror or error})"
+        raise InputError.single(str(path), "file", "a readable table of depths", got, _LINES) from error
     table: dict[str, float] = {}
     faults = []
     for number, line in enumerate(lines, start=1):
@@ -145,8 +150,10 @@ def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
         except ValueError:
             table[name] = math.nan
         if not (math.isfinite(table[name]) and table[name] > 0.0):
-            faults.append(Fault(f"line {number}", "a file name and a depth in m", line))
-    faults += [Fault(frame.name, "a line with its depth", "none") for frame in frames if frame.name not in table]
+            faults.append(Fault(f"line {number}", "a file name and a depth in m", line, _LINES))
+    faults += [
+        Fault(frame.name, "a line with its depth", "none", _LINES) for frame in frames if frame.name not in table
+    ]
     if faults:
         raise InputError(str(path), faults)
     return [table[frame.name] for frame in frames]
@@ -156,7 +163,8 @@ def _check(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: Psf
     low, high = float(predicted.depth_m.min()), float(predicted.depth_m.max())
     if len(frames) != len(depths_m) or len(set(depths_m)) < 2:
         got = f"{len(frames)} frames and {len(set(depths_m))} depths"
-        raise InputError.single("calibration", "frames", "frames at two depths or more, each with its depth", got)
+        expected = "frames at two depths or more, each with its depth"
+        raise InputError.single("calibration", "frames", expected, got, "photograph the point at further depths")
     if predicted.depth_m.size < 4:
         expected = "a prediction at four depths or more"
         raise InputError.single("calibration", "psf", expected, f"{predicted.depth_m.size}")

@@ -319,3 +319,12 @@ def test_a_table_of_depths_names_all_its_faults(tmp_path: Path) -> None:
     assert read_depths(tmp_path / "marked.csv", [Path("a.tif")]) == [0.3]
     with pytest.raises(InputError, match="readable"):
         read_depths(tmp_path / "none.csv", [])
+
+
+@pytest.mark.parametrize("text", ["p.tif; 0.0026", "p.tif, 0,0026", "q.tif, 0.0026"])
+def test_a_table_of_other_lines_says_how_they_are_written(text: str, tmp_path: Path) -> None:
+    (tmp_path / "depths.csv").write_text(text)
+    with pytest.raises(InputError, match="write one line `frame, depth in m` for each photograph, with a comma and"):
+        read_depths(tmp_path / "depths.csv", [Path("p.tif")])
+    with pytest.raises(InputError, match=r"got none .No such file or directory.; write one line"):
+        read_depths(tmp_path / "none.csv", [Path("p.tif")])
