@@ -367,6 +367,7 @@ def _measured(plan: _Plan, model: LineModel) -> LineStatistics:
         error=_rms([errors]),
         error_unlike=_rms(errors_unlike),
         error_alike=_rms(errors_alike),
+        local_period_error_alike=_rms([rows.errors(None) for rows in alike]),
         error_p90=float(np.quantile(np.concatenate(errors_alike), 0.9)),
         error_fitted=_rms([rows.errors(model) for rows in fitted]),
         solver_error=solver_error,

@@ -97,6 +97,8 @@ def test_training_restarts_and_is_stored(asked: Library, tmp_path: Path, monkeyp
     assert (statistics.rows, statistics.held_out) == (55, 10)
     assert statistics.error > 0.0
     assert statistics.solver_error > 0.0
+    # Half of the held-out rows have steady phases.
+    assert 0.0 < statistics.local_period_error_alike < np.sqrt(2.0) * statistics.local_period_error
 
     path = tmp_path / "library.h5"
     save(replace(asked, neighbours=model), path)
