@@ -60,15 +60,18 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
     if has_joint_effect(supercell):
         neighbours, joint = neighbours.uncoupled, joint_effect(supercell, local)
     lights = _solve_lines(neighbours, supercell, order, local, joint)
-    # The model does not conserve energy: amplitudes are scaled down where more light would leave than arrives.
+    # The model does not conserve energy: amplitudes are scaled down where more light would leave than arrives, of x or
+    # y polarised light, or of any other.
     t = np.stack([light.amplitude / math.sqrt(max(1.0, light.power)) for light in lights], axis=2)
+    scale = 1.0 / math.sqrt(max(1.0, supercell.largest_relative_power(order, t)))
     library_error = float(np.max(known.error))
     errors = [
         _error(neighbours, library_error, supercell, axis, local[axis], light, joint)
         for axis, light in enumerate(lights)
     ]
     weights = [float(np.sum(np.abs(light.amplitude) ** 2)) for light in lights]
-    return SupercellOrders(supercell, order, t, _weighted_rms(errors, weights), time.perf_counter() - start)
+    error = _weighted_rms(errors, weights) + (1.0 - scale)
+    return SupercellOrders(supercell, order, scale * t, error, time.perf_counter() - start)
 
 
 def _require_known_sizes(library: Library, size_nm: FloatArray) -> None:
