@@ -94,18 +94,6 @@ class Supercell:
         power = k_z * np.sum(np.abs(amplitude) ** 2, axis=-1) + np.abs(np.sum(k * amplitude, axis=-1)) ** 2 / k_z
         return np.asarray(power / (vacuum * self.cell.n_in[axis].real), dtype=np.float64)
 
-    def largest_relative_power(self, orders: IntArray, t: ComplexArray) -> float:
-        """Power of all orders along z over the incident one, for the incident polarisation that makes it largest.
-
-        ``t``, shape (n_orders, 2, 2), indexed [order, out, in], behind a substrate of one index. Both lights may carry
-        less power than a light between them: the sums of squares of x and y polarised light add terms of their product.
-        """
-        jones = (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 1.0j)
-        of_x, of_y, of_sum, of_turning = (float(self.relative_power(orders, t @ light, "x").sum()) for light in jones)
-        both = of_x + of_y
-        # Largest eigenvalue of the Hermitian matrix of the power, whose outer elements follow from the two sums.
-        return 0.5 * (both + math.hypot(of_x - of_y, of_sum - both, of_turning - both))
-
     def local_period(self, orders: IntArray, responses: ComplexArray) -> ComplexArray:
         """Amplitudes of orders by the local-period approximation, with one sample per site, shape (n_orders,).
 

@@ -63,7 +63,7 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
     # The model does not conserve energy: amplitudes are scaled down where more light would leave than arrives, of x or
     # y polarised light, or of any other.
     t = np.stack([light.amplitude / math.sqrt(max(1.0, light.power)) for light in lights], axis=2)
-    scale = 1.0 / math.sqrt(max(1.0, supercell.largest_relative_power(order, t)))
+    scale = 1.0 / math.sqrt(max(1.0, largest_power(supercell, order, t)))
     library_error = float(np.max(known.error))
     errors = [
         _error(neighbours, library_error, supercell, axis, local[axis], light, joint)
@@ -83,6 +83,19 @@ def _require_known_sizes(library: Library, size_nm: FloatArray) -> None:
             raise InputError.single(
                 "supercell", name, expected, f"{low:g} to {high:g} nm", "use the solver rcwa or meep"
             )
+
+
+def largest_power(supercell: Supercell, order: IntArray, t: ComplexArray) -> float:
+    """Power of all orders over the incident one, for the incident polarisation that makes it largest.
+
+    ``t``, shape (orders, 2, 2), is indexed [order, out, in]. Where x and y polarised light each carry no more than
+    arrives, light between them may: its power holds products of both fields.
+    """
+    jones = (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 1.0j)
+    of_x, of_y, of_sum, of_turning = (float(supercell.relative_power(order, t @ light, "x").sum()) for light in jones)
+    both = of_x + of_y
+    # Largest eigenvalue of the Hermitian matrix of the power, whose outer elements follow from the two sums.
+    return 0.5 * (both + math.hypot(of_x - of_y, of_sum - both, of_turning - both))
 
 
 @dataclass(frozen=True)
