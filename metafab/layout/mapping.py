@@ -14,8 +14,8 @@ from metafab.layout.joint import JointSizes, reach_sites
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import PillarTile, SizeIndexArray
 from metafab.library import Library, SizeTable
-from metafab.library.neighbours.choice import NeighbourChoice, local_mean
-from metafab.library.neighbours.windows import HALO_SITES
+from metafab.library.neighbours.mask.choice import NeighbourChoice, local_mean
+from metafab.library.neighbours.mask.windows import HALO_SITES
 from metafab.library.use.lights import SizesOfLights
 from metafab.phase.terms.profile import PhaseProfile
 

@@ -7,9 +7,7 @@
 - ``doubt``       stated error of a row, from what is known of it without a solver
 - ``training``    :func:`train`: a library in, its :class:`Neighbours` out
 - ``model``       :class:`Neighbours`: the chains of all directions and polarisations, with their errors
-- ``open_lines``  field along open chains, and its derivatives by the sizes
-- ``windows``     field of a window of a mask: chains along x and along y
-- ``choice``      sizes chosen for the field among neighbours
+- ``mask``        field of the pillars of a mask, and sizes chosen for it
 - ``blocks``      joint effect of rows and columns: solved, or by chains that are coupled across their lines
 - ``evaluation``  :func:`solve_supercell`: transmitted orders of rows and blocks
 - ``storage``     chains in the file of a library

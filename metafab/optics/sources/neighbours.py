@@ -21,7 +21,7 @@ from metafab.core.storage.scratch import release, scratch
 from metafab.layout.pillars import Lattice, PillarMap, PillarTile, SizeIndexArray
 from metafab.library.library import Library
 from metafab.library.neighbours import require_neighbours
-from metafab.library.neighbours.windows import HALO_SITES, NeighbourTables
+from metafab.library.neighbours.mask.windows import HALO_SITES, NeighbourTables
 from metafab.library.use.amplitudes import half_space_indices
 from metafab.optics.point_spread import NeighbourMap
 from metafab.optics.sources.source import FieldTile, WrittenField, written_field

@@ -22,8 +22,8 @@ from metafab.layout.assign import wave_plate
 from metafab.layout.gap_rule import allowed_sizes
 from metafab.library import Library
 from metafab.library.neighbours import LineStatistics, Neighbours, TrainedLine
-from metafab.library.neighbours.choice import NeighbourChoice
 from metafab.library.neighbours.line import LineShape, initial_model
+from metafab.library.neighbours.mask.choice import NeighbourChoice
 from metafab.optics import neighbour_field
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
