@@ -2,10 +2,9 @@
 
 - ``line``        a chain of coupled modes and its parameters
 - ``solve``       field of closed chains, and its derivatives by the parameters
-- ``fit``         least-squares fit of a chain to solved rows
 - ``rows``        training rows, and their solution
 - ``doubt``       stated error of a row, from what is known of it without a solver
-- ``training``    :func:`train`: a library in, its :class:`Neighbours` out
+- ``training``    a library in, its :class:`Neighbours` out
 - ``model``       :class:`Neighbours`: the chains of all directions and polarisations, with their errors
 - ``mask``        field of the pillars of a mask, and sizes chosen for it
 - ``blocks``      joint effect of rows and columns: solved, or by chains that are coupled across their lines
