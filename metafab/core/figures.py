@@ -95,9 +95,6 @@ class LineStatistics:
     local_period_error_alike: float = math.nan
     error_p90: float = math.nan  #: 90th percentile of the errors on rows with steady phases.
     error_fitted: float = math.nan  #: Rms error on the rows of the fit.
-    #: Rms error of rows and columns together, without their joint effect and cross-polarised light, on both lights of
-    #: solved blocks whose phases change steadily in both directions; NaN without such blocks, and in older files.
-    error_blocks: float = math.nan
     solver_error: float = math.nan  #: Rms error of the solved rows, from a sample solved more finely.
     error_floor: float = math.nan  #: Smallest stated error of a row.
     #: Stated error above the floor, over the product of the row's predictors

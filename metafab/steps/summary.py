@@ -166,7 +166,6 @@ def _neighbour_lines(summary: RunSummary) -> list[BudgetLine]:
     psf, coupling = summary.psf, summary.coupling
     if psf is not None and psf.with_neighbours and summary.library is not None:
         statistics = summary.library.neighbours
-        blocks = None if statistics is None or math.isnan(statistics.error_blocks) else statistics.error_blocks
         return [
             BudgetLine(
                 "model of unlike neighbours",
@@ -176,12 +175,12 @@ def _neighbour_lines(summary: RunSummary) -> list[BudgetLine]:
             ),
             BudgetLine(
                 "joint effect of rows and columns",
-                blocks,
+                psf.joint_error,
                 "relative L2",
-                "a mask leaves it out; the blocks of a training (`neighbours.blocks` of the unit cell) measure it"
-                if blocks is None
-                else "field of blocks whose phases change steadily in both directions, by the model's rows and columns "
-                "alone, as in a mask, against the solver",
+                "the PSFs leave it out, and it is not solved for these pillars"
+                if psf.joint_error is None
+                else "left out of the PSFs: what coarse elements add to the field in eight windows of 3 x 3 pillars of "
+                "the mask, continued periodically, cross-polarised light included; few windows hold most of it",
             ),
         ]
     return [

@@ -14,7 +14,15 @@
 
 from metafab.core.figures import LineStatistics
 from metafab.library.neighbours.blocks.joint import has_joint_effect
-from metafab.library.neighbours.evaluation import require_neighbours, solve_supercell
+from metafab.library.neighbours.evaluation import joint_share, require_neighbours, solve_supercell
 from metafab.library.neighbours.model import Neighbours, TrainedLine
 
-__all__ = ["LineStatistics", "Neighbours", "TrainedLine", "has_joint_effect", "require_neighbours", "solve_supercell"]
+__all__ = [
+    "LineStatistics",
+    "Neighbours",
+    "TrainedLine",
+    "has_joint_effect",
+    "joint_share",
+    "require_neighbours",
+    "solve_supercell",
+]

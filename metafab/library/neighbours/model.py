@@ -63,17 +63,7 @@ class Neighbours:
 
     def with_couplings(self, couplings: Sequence[ComplexArray | None]) -> Neighbours:
         """The model with the couplings of its distinct chains, shape (n_pairs,) each, in the order of :attr:`lines`."""
-        pairs = zip(self.lines, couplings, strict=True)
-        return self._with_lines([replace(line, coupling=coupling) for line, coupling in pairs])
-
-    def with_block_error(self, error: float) -> Neighbours:
-        """The model with an error of its rows and columns on blocks (``LineStatistics.error_blocks``)."""
-        measured = [replace(line.statistics, error_blocks=error) for line in self.lines]
-        pairs = zip(self.lines, measured, strict=True)
-        return self._with_lines([replace(line, statistics=statistics) for line, statistics in pairs])
-
-    def _with_lines(self, lines: Sequence[TrainedLine]) -> Neighbours:
-        """The model with other chains, in the order of :attr:`lines`."""
+        lines = [replace(line, coupling=coupling) for line, coupling in zip(self.lines, couplings, strict=True)]
         half = len(lines) // 2
         return replace(self, along=(lines[0], lines[:half][-1]), across=(lines[half], lines[half:][-1]))
 

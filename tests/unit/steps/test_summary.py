@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -135,12 +134,13 @@ def test_the_model_of_neighbours_replaces_the_approximation_where_the_psf_used_i
     summary = run_summary()
     assert summary.library is not None
     coupling, joint = CouplingFigures(0.12, 0.96, 1, ("rcwa",)), "joint effect of rows and columns"
-    for psf, blocks, expected in (
-        (PSF, 0.08, {"local-period approximation": 0.12}),
+    for light, windows, expected in (
+        (PSF, None, {"local-period approximation": 0.12}),
         (replace(PSF, with_neighbours=True), 0.08, {"model of unlike neighbours": 0.03, joint: 0.08}),
-        (replace(PSF, with_neighbours=True), math.nan, {"model of unlike neighbours": 0.03, joint: None}),
+        (replace(PSF, with_neighbours=True), None, {"model of unlike neighbours": 0.03, joint: None}),
     ):
-        library = replace(summary.library, neighbours=LineStatistics(error_alike=0.03, error_blocks=blocks))
+        library = replace(summary.library, neighbours=LineStatistics(error_alike=0.03))
+        psf = replace(light, joint_error=windows)
         lines = {
             line.source: line
             for line in error_budget(RunSummary(library=library, layout=LAYOUT, psf=psf, coupling=coupling))
@@ -148,7 +148,7 @@ def test_the_model_of_neighbours_replaces_the_approximation_where_the_psf_used_i
         found = {"local-period approximation", "model of unlike neighbours", joint} & lines.keys()
         assert {source: lines[source].value for source in found} == expected
         if joint in expected:
-            assert ("`neighbours.blocks`" in lines[joint].how) == (expected[joint] is None)
+            assert ("not solved" in lines[joint].how) == (expected[joint] is None)
 
 
 def test_a_run_without_figures_saves_nothing(small_design: Design) -> None:

@@ -27,7 +27,6 @@ from metafab.core.storage.provenance import sources_sha256
 from metafab.library.library import Library
 from metafab.library.neighbours.blocks.cross import CrossLight, free_elements
 from metafab.library.neighbours.blocks.lattice import BlockLight, SolvedLines
-from metafab.library.neighbours.evaluation import block_corrections
 from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.library.neighbours.rows import BEST, RESOLUTION, STEEPEST_RAD, solve_sampled
 from metafab.library.sweep.checkpoint import Checkpoint
@@ -101,8 +100,6 @@ def couple(
 ) -> Neighbours:
     """Solve ``count`` blocks, and fit the couplings of all chains across lines and between polarisations to them.
 
-    The model's statistics get the error of its rows and columns alone, as masks have them, on the same blocks.
-
     Args:
         library: library with the pillars of the chains.
         neighbours: its trained chains.
@@ -117,31 +114,8 @@ def couple(
     blocks = [(sampler.supercell(number), np.reshape(each, (-1, 2, 2))) for number, each in sorted(solved.items())]
     lights = [light for block in blocks for light in _lights(library, neighbours, *block)]
     sizes = [line.model.shape.pairs[0].size for line in neighbours.lines]
-    measured = neighbours.with_block_error(_error_of_lines(library, neighbours, blocks))
-    coupled = measured.with_couplings(np.split(_fit(lights, sum(sizes)), np.cumsum(sizes)[:-1]))
+    coupled = neighbours.with_couplings(np.split(_fit(lights, sum(sizes)), np.cumsum(sizes)[:-1]))
     return replace(coupled, cross=_cross_fit(coupled, blocks))
-
-
-def _error_of_lines(
-    library: Library, neighbours: Neighbours, blocks: Sequence[tuple[Supercell, ComplexArray]]
-) -> float:
-    """Rms error of the rows and columns of uncoupled chains, over both lights of solved blocks; NaN without blocks.
-
-    Blocks that are their own images under a half turn are left out: their phases turn back in the middle, which those
-    of a lens do not.
-    """
-    squares = []
-    for supercell, t in blocks:
-        size_nm = supercell.size_nm
-        if np.array_equal(size_nm, size_nm[::-1, ::-1]):
-            continue
-        known, order = library.surface(size_nm[..., 0], size_nm[..., 1]), supercell.propagating_orders("x")
-        for axis, local in enumerate((known.t_xx, known.t_yy)):
-            field = local + block_corrections(neighbours, size_nm, axis).sum(axis=0)
-            missing = t[:, :, axis].copy()
-            missing[:, axis] -= supercell.local_period(order, field)
-            squares.append(np.linalg.norm(missing) ** 2 / np.linalg.norm(t[:, :, axis]) ** 2)
-    return math.sqrt(float(np.mean(squares))) if squares else math.nan
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from metafab.core.figures import LineStatistics
 from metafab.library.library import Library
 from metafab.library.neighbours.blocks.cross import free_elements
 from metafab.library.neighbours.blocks.joint import joint_effect
-from metafab.library.neighbours.evaluation import block_corrections, largest_power, solve_supercell
+from metafab.library.neighbours.evaluation import block_corrections, joint_share, largest_power, solve_supercell
 from metafab.library.neighbours.line import LineShape, initial_model
 from metafab.library.neighbours.model import Neighbours, TrainedLine
 
@@ -46,6 +46,11 @@ def test_a_small_block_is_its_lines_and_their_joint_effect(
         np.testing.assert_allclose(found.t[:, :, axis], expected / np.sqrt(max(1.0, sent)), atol=1e-12)
     # Half of the joint effect, more where the scaling for power comes on top.
     assert found.error >= 0.5 * np.linalg.norm(share) / np.linalg.norm(lit) * (1.0 - 1e-9)
+    alone = joint_share(replace(smooth_library, neighbours=coupled), block.size_nm)
+    assert alone == pytest.approx(share / lit)
+    with_bare = replace(smooth_library, neighbours=bare)
+    assert joint_share(with_bare, np.repeat(block.size_nm[:1], 3, axis=0)) == pytest.approx([0.0, 0.0])
+    assert joint_share(with_bare, rng.uniform(*SPAN, (12, 12, 2))) is None
 
 
 def test_coupled_lines_that_send_out_more_light_than_arrives_are_solved_uncoupled(
