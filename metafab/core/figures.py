@@ -91,6 +91,8 @@ class LineStatistics:
     error: float = math.nan  #: Rms error of the chain on the held-out rows.
     error_unlike: float = math.nan  #: Rms error on held-out rows of random sizes.
     error_alike: float = math.nan  #: Rms error on held-out rows with phases that change steadily, as in a lens.
+    #: Rms error of the local-period approximation on these; NaN in older files.
+    local_period_error_alike: float = math.nan
     error_p90: float = math.nan  #: 90th percentile of the errors on rows with steady phases.
     error_fitted: float = math.nan  #: Rms error on the rows of the fit.
     solver_error: float = math.nan  #: Rms error of the solved rows, from a sample solved more finely.

@@ -1,6 +1,7 @@
 """Full-wave solutions of pieces of the written mask, compared with the library's local-period approximation.
 
 - ``blocks``    supercells of a file by the model of neighbours, RCWA, Meep or the local-period approximation
+- ``record``    file of solved blocks that a stopped solution leaves
 - ``repeats``   orders of a mask whose pattern repeats
 - ``written``   pillars of a mask around a place -> Supercell
 - ``coupling``  rows of one local period by RCWA and Meep: error of the approximation; ``coupling.json``

@@ -11,10 +11,9 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from itertools import compress
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
@@ -28,18 +27,22 @@ from metafab.cell.meep import Pool
 from metafab.cell.meep.supercell import SupercellSettings, memory_bytes, refined_orders
 from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.core.errors import Fault, InputError
-from metafab.core.parallel.executor import SerialExecutor, in_order
+from metafab.core.errors import Fault, InputError, SolverError, noted
+from metafab.core.parallel.executor import SerialExecutor, stream
 from metafab.core.parallel.progress import Progress, silent
-from metafab.core.storage.files import unique_keys
+from metafab.core.storage.files import file_sha256, fingerprint, unique_keys
 from metafab.core.storage.limits import beyond, limit
+from metafab.core.storage.provenance import sources_sha256
+from metafab.fullwave.record import record_orders, recorded_orders
 from metafab.fullwave.written import site_cell
 from metafab.library import Library
 from metafab.library.neighbours import has_joint_effect, solve_supercell
+from metafab.library.sweep.checkpoint import Checkpoint
 from metafab.spec.fields import CONFIG, NonNegative
 from metafab.spec.toml import validate
 
 Solver: TypeAlias = Literal["model", "rcwa", "meep", "lone"]
+_Numbered: TypeAlias = tuple[int, Supercell]  # a block and its place in the file
 
 #: Bound on the error of the local-period approximation over the rms step of t from site to site. On seven silicon rows
 #: (lens-like, random, nearly equal) the share was 0.16 to 0.47, on nine rows of 2 to 13 random sizes up to 0.50.
@@ -166,22 +169,30 @@ def _beyond_sweep(library: Library, field: str, size_nm: FloatArray, axis: int, 
     return []
 
 
+def inputs_of_answers(library: Path, solver: Solver, numerics: BlockNumerics) -> str:
+    """Fingerprint of all that the answer for a block depends on besides its pillars; ``library`` is the file."""
+    code = sources_sha256(("metafab.fullwave.blocks",), ())
+    return fingerprint(file_sha256(library), solver, numerics, code)
+
+
 def solve_blocks(
     supercells: Sequence[Supercell],
     library: Library,
     solver: Solver,
     numerics: BlockNumerics = BlockNumerics(),
     *,
+    record: Checkpoint | None = None,
     executor: Executor | None = None,
     pool: Pool | None = None,
     progress: Progress = silent,
-) -> Iterator[SupercellOrders]:
-    """Solve supercells for both incident polarisations; yield the results in their order.
+) -> list[SupercellOrders]:
+    """Solve supercells for both incident polarisations.
 
     Args:
         supercells: pillars in the library's unit cell.
         library: library for ``lone`` and ``model``.
         numerics: numerics of ``rcwa`` and ``meep``.
+        record: holds solved blocks, which are not solved again; takes each other one as it is solved.
         executor: solves blocks by ``rcwa`` in parallel, and by ``model`` those whose joint effect is solved; by default
             this process.
         pool: workers of Meep; by default one that lives as long as this process.
@@ -189,7 +200,7 @@ def solve_blocks(
     Raises:
         InputError: the solver does not treat a supercell, or the library has no model.
         MissingToolError: Meep is asked for but not installed.
-        SolverError: the solver failed.
+        SolverError: the solver failed on the supercells that the message names; all others are solved before.
     """
     solve: dict[Solver, Callable[[Supercell], SupercellOrders]] = {
         "lone": partial(lone_orders, library=library),
@@ -197,18 +208,43 @@ def solve_blocks(
         "meep": partial(refined_orders, pixels_per_period=numerics.pixels_per_period, pool=pool, progress=progress),
         "model": partial(solve_supercell, library),
     }
-    # Chains and look-ups take milliseconds, less than a process takes to start; Meep has workers of its own.
-    goes_out = [
-        executor is not None and (solver == "rcwa" or (solver == "model" and has_joint_effect(one)))
-        for one in supercells
-    ]
-    if solver == "model" and any(goes_out):
+    record = record or Checkpoint(None, "")
+    found = recorded_orders(record, supercells)
+    here: list[_Numbered] = []
+    sent: list[_Numbered] = []
+    for number, supercell in enumerate(supercells):
+        if number in found:
+            continue
+        # Chains and look-ups take milliseconds, less than a process takes to start; Meep has workers of its own.
+        goes_out = solver == "rcwa" or (solver == "model" and has_joint_effect(supercell))
+        (sent if executor is not None and goes_out else here).append((number, supercell))
+    if solver == "model" and sent:
         _ = library.surface  # made once here, not by each worker
-    sent = in_order(executor or SerialExecutor(), solve[solver], compress(supercells, goes_out))
-    for done, (supercell, is_sent) in enumerate(zip(supercells, goes_out, strict=True), start=1):
-        found = next(sent) if is_sent else solve[solver](supercell)
-        progress("supercells", done, len(supercells))
-        yield found
+    progress("supercells", len(found), len(supercells))
+    failures: dict[int, Exception] = {}
+    for calls, some in ((SerialExecutor(), here), (executor or SerialExecutor(), sent)):
+        # In this process the next block begins when the last one is recorded.
+        ahead = 1 if isinstance(calls, SerialExecutor) else len(some)
+        for (number, _), answer in stream(calls, partial(_attempt, solve[solver]), some, ahead=ahead):
+            if isinstance(answer, SupercellOrders):
+                found[number] = answer
+                record_orders(record, answer)
+            else:
+                failures[number] = answer
+            progress("supercells", len(found) + len(failures), len(supercells))
+    if failures:
+        raise SolverError("\n".join(f"blocks[{number}]: {failures[number]}" for number in sorted(failures)))
+    return [found[number] for number in range(len(supercells))]
+
+
+def _attempt(solve: Callable[[Supercell], SupercellOrders], numbered: _Numbered) -> SupercellOrders | Exception:
+    """Orders of a block, or the error of its solver, which need not end the solution of others."""
+    number, supercell = numbered
+    try:
+        with noted(f"blocks[{number}]"):
+            return solve(supercell)
+    except (SolverError, np.linalg.LinAlgError) as error:
+        return error
 
 
 def lone_orders(supercell: Supercell, library: Library) -> SupercellOrders:

@@ -29,7 +29,7 @@ from metafab.layout.mapping import LightChoice, LightTarget, TileMapping
 from metafab.layout.outlines import Outline
 from metafab.layout.pillars import PillarMap, PillarTile
 from metafab.library import Library, SizeTable
-from metafab.library.neighbours.choice import SHIFT_CELLS
+from metafab.library.neighbours.mask.choice import SHIFT_CELLS
 from metafab.library.use.lights import SizesOfLights
 from metafab.library.use.lookup import global_offsets
 from metafab.phase.terms.profile import PhaseProfile

@@ -36,6 +36,7 @@ class TileSums:
     #: Shape (2, 2), overlaps by the model of neighbours, of the sizes that suit equal neighbours best and of those
     #: chosen among unlike ones, for x and y polarisation; None without that choice.
     among: ComplexArray | None = None
+    among_power: FloatArray | None = None  #: Shape (2, 2), likewise sums of |t|^2 by that model.
     #: Shape (2,), of both mappings: squared phase error of the local mean field, summed over pillars and polarisations.
     among_square_error: FloatArray | None = None
     lights: tuple[TileSums, ...] = ()  #: Sums at each wavelength, where sizes were chosen for several.
@@ -64,6 +65,7 @@ class TileSums:
             min(self.smallest_gap_dbu, other.smallest_gap_dbu),
             self.each + other.each if self.each and other.each else None,
             _sum_of(self.among, other.among),
+            _sum_of(self.among_power, other.among_power),
             _sum_of(self.among_square_error, other.among_square_error),
             tuple(one + two for one, two in zip(self.lights, other.lights, strict=True)),
         )
@@ -71,11 +73,28 @@ class TileSums:
     def with_light_of(self, sample: TileSums) -> TileSums:
         """Return these sums with the mean light that a sample's pillars have among their neighbours, if it has any."""
         assert sample.among is not None
+        assert sample.among_power is not None
         assert sample.among_square_error is not None
         if not sample.pillars:
             return self
         share = self.pillars / sample.pillars
-        return replace(self, among=share * sample.among, among_square_error=share * sample.among_square_error)
+        return replace(
+            self,
+            among=share * sample.among,
+            among_power=share * sample.among_power,
+            among_square_error=share * sample.among_square_error,
+        )
+
+    def _neighbour_efficiency(self, power_ratio: FloatArray) -> FloatArray | None:
+        """Share of power in the wanted wave by the model of neighbours, shape (2,), before and after the choice.
+
+        A field with more power than arrives is scaled to the incident power, as the model does not conserve energy.
+        """
+        if self.among is None or self.among_power is None:
+            return None
+        wanted = np.abs(self.among / self.pillars) ** 2 * power_ratio
+        transmitted = self.among_power / self.pillars * power_ratio
+        return np.asarray((wanted / np.maximum(transmitted, 1.0)).mean(axis=1))
 
     def figures(self, library: Library, table: SizeTable, offsets_rad: Sequence[float]) -> MappingFigures:
         """Return the figures of the lens whose sums these are; the library gives the media and the angle.
@@ -86,9 +105,7 @@ class TileSums:
         transmittance = self.power / self.pillars * ratio
         overlap = np.abs(self.overlap) ** 2 / (self.pillars * self.power)
         efficiency = transmittance * overlap
-        among = (
-            None if self.among is None else [(np.abs(sums / self.pillars) ** 2 * ratio).mean() for sums in self.among]
-        )
+        among = self._neighbour_efficiency(ratio)
         square = None if self.among_square_error is None else self.among_square_error / (2 * self.pillars)
         gap_dbu = self.smallest_gap_dbu
         used = self.used > 0

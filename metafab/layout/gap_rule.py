@@ -20,7 +20,7 @@ from metafab.layout.outlines import Outline
 from metafab.layout.pillars import Lattice
 from metafab.library import Library, SizeTable, build_size_table
 from metafab.library.neighbours import require_neighbours
-from metafab.library.neighbours.choice import NeighbourChoice
+from metafab.library.neighbours.mask.choice import NeighbourChoice
 from metafab.spec import Design
 
 

@@ -14,8 +14,8 @@ from metafab.layout.joint import JointSizes, reach_sites
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import PillarTile, SizeIndexArray
 from metafab.library import Library, SizeTable
-from metafab.library.neighbours.choice import NeighbourChoice, local_mean
-from metafab.library.neighbours.windows import HALO_SITES
+from metafab.library.neighbours.mask.choice import NeighbourChoice, local_mean
+from metafab.library.neighbours.mask.windows import HALO_SITES
 from metafab.library.use.lights import SizesOfLights
 from metafab.phase.terms.profile import PhaseProfile
 
@@ -121,8 +121,9 @@ class TileMapping:
         """Add the sums of the fields over the target wave, before and after the choice among neighbours."""
         core = np.s_[:, inset[0] : inset[0] + self.tile_sites, inset[1] : inset[1] + self.tile_sites]
         among = np.array([field[core].sum(axis=(1, 2)) for field in fields])
+        power = np.array([np.sum(np.abs(field[core]) ** 2, axis=(1, 2)) for field in fields])
         square = [np.sum(np.angle(local_mean(field, sizes)[core]) ** 2 * (sizes[core[1:]] > 0)) for field in fields]
-        return replace(sums, among=among, among_square_error=np.array(square))
+        return replace(sums, among=among, among_power=power, among_square_error=np.array(square))
 
     def _window(self, corner: tuple[int, int]) -> tuple[int, int, FloatArray, SizeIndexArray, FloatArray | None]:
         """First row and column of a tile with its halo, targets, sizes by the look-up, and targets of all lights."""

@@ -186,14 +186,9 @@ class Library(Displayed):
         """Return sentences about sizes beyond the target error and about a model of neighbours that lowers no error."""
         target, error = self.unit_cell.sweep.target_error, self.error_of_sizes
         found = []
-        failing = [] if self.neighbours is None else [line for line in self.neighbours.lines if not line.pays]
-        if failing:
-            chain = max((line.statistics for line in failing), key=lambda each: each.error / each.local_period_error)
-            found.append(
-                f"a chain of the model of neighbours does not lower the error: {chain.error:.3f} of the field on its "
-                f"held-out rows, {chain.local_period_error:.3f} without it; the model is used only where a design asks "
-                "for it. Raise `neighbours.rows` in the unit cell"
-            )
+        if self.neighbours is not None and self.neighbours.warning is not None:
+            remedy = "the model is used only where a design asks for it. Raise `neighbours.rows` in the unit cell"
+            found.append(f"{self.neighbours.warning}; {remedy}")
         beyond = int(np.count_nonzero(error > target))
         if not beyond:
             return found

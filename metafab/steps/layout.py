@@ -16,6 +16,8 @@ from metafab.steps.library import libraries, open_library
 
 if TYPE_CHECKING:
     from metafab.layout.mapping import LightTarget
+    from metafab.library import Library
+    from metafab.spec import Design
 
 
 @dataclass(frozen=True)
@@ -38,11 +40,13 @@ class LayoutFigures(MappingFigures):
     #: The mapping at each wavelength; None for a design with one light.
     lights: tuple[LightMapping, ...] | None = optional()
     write_time: WriteTime | None = optional()  #: Time on the e-beam writer; None without ``mask.exposure``.
+    #: Sentence about a model of neighbours that chose the sizes and is not known to lower the error; None for others.
+    neighbour_warning: str | None = optional()
 
     def warnings(self) -> list[str]:
-        """Return the sentences of :class:`MappingFigures`, for each wavelength that the mask serves."""
+        """Return the sentences of :class:`MappingFigures`, for each wavelength, and that about the neighbours."""
         if self.lights is None:
-            return super().warnings()
+            return [*super().warnings(), *([] if self.neighbour_warning is None else [self.neighbour_warning])]
         return [
             f"at {light_label(light.wavelength_nm, light.angle_x_deg, light.angle_y_deg)}, {text}"
             for light in self.lights
@@ -89,10 +93,11 @@ def write_layout(job: Job) -> LayoutFigures:
         raise InputError.single(job.design.name, "mask.formats", "'gds', 'oas' or both", "none", remedy)
     progress = job.work.progress
     lights = light_targets(job)
+    library = open_library(job)
     with job.work.threads() as executor:
         assignment = layout.assign(
             job.profile,
-            open_library(job),
+            library,
             job.design,
             lights=lights,
             executor=executor,
@@ -119,7 +124,16 @@ def write_layout(job: Job) -> LayoutFigures:
         gap_rule_each=assignment.gap_rule_each,
         lights=assignment.lights or None,
         write_time=time,
+        neighbour_warning=_neighbour_warning(job.design, library),
     )
+
+
+def _neighbour_warning(design: Design, library: Library) -> str | None:
+    """Sentence about sizes that are chosen by a model of neighbours which does not pay; None for others."""
+    if not design.rules.neighbours or library.neighbours is None or library.neighbours.warning is None:
+        return None
+    remedy = "raise `neighbours.rows` in the unit cell, or remove `rules.neighbours`, which chooses the sizes by it"
+    return f"{library.neighbours.warning}; {remedy}"
 
 
 def light_targets(job: Job) -> list[LightTarget]:

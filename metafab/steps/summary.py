@@ -143,6 +143,7 @@ _OF_PILLARS = {
     "index of the pillar",
     "local-period approximation",
     "model of unlike neighbours",
+    "joint effect of rows and columns",
     "oblique light",
 }
 
@@ -160,26 +161,38 @@ def _errors_of_mask(library: LibraryFigures | None, layout: LayoutFigures | None
     return max(errors, default=largest), max(each.phase_rms_error_rad for each in lights)
 
 
-def _neighbours_line(summary: RunSummary) -> BudgetLine:
+def _neighbour_lines(summary: RunSummary) -> list[BudgetLine]:
     """Error of the light of unlike neighbours: of the model if the PSFs used it, else of the approximation."""
     psf, coupling = summary.psf, summary.coupling
     if psf is not None and psf.with_neighbours and summary.library is not None:
         statistics = summary.library.neighbours
-        return BudgetLine(
-            "model of unlike neighbours",
-            None if statistics is None else statistics.error_alike,
+        return [
+            BudgetLine(
+                "model of unlike neighbours",
+                None if statistics is None else statistics.error_alike,
+                "relative L2",
+                "field of held-out rows whose phases change steadily, by the library's model against the solver",
+            ),
+            BudgetLine(
+                "joint effect of rows and columns",
+                psf.joint_error,
+                "relative L2",
+                "the PSFs leave it out, and it is not solved for these pillars"
+                if psf.joint_error is None
+                else "left out of the PSFs: what coarse elements add to the field in eight windows of 3 x 3 pillars of "
+                "the mask, continued periodically, cross-polarised light included; few windows hold most of it",
+            ),
+        ]
+    return [
+        BudgetLine(
+            "local-period approximation",
+            None if coupling is None else coupling.coupling_error,
             "relative L2",
-            "field of held-out rows whose phases change steadily, by the library's model against the solver; the joint "
-            "effect of rows and columns, which a mask leaves out, is not in it",
+            "field behind rows of one local period, full-wave, against the stitched library; `metafab coupling`"
+            if coupling is None or coupling.polarised_ratio is None
+            else "field behind the pillars of a repeat, full-wave, against the stitched library",
         )
-    return BudgetLine(
-        "local-period approximation",
-        None if coupling is None else coupling.coupling_error,
-        "relative L2",
-        "field behind rows of one local period, full-wave, against the stitched library; `metafab coupling`"
-        if coupling is None or coupling.polarised_ratio is None
-        else "field behind the pillars of a repeat, full-wave, against the stitched library",
-    )
+    ]
 
 
 def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
@@ -212,7 +225,7 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
             if index_error_rad is None
             else "phases solved again with the index raised by its standard uncertainty, common phase taken out",
         ),
-        _neighbours_line(summary),
+        *_neighbour_lines(summary),
         BudgetLine(
             "oblique light",
             None if psf is None else psf.oblique_error,

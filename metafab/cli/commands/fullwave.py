@@ -20,11 +20,11 @@ from metafab.cli.app import (
     open_job,
     require_positive,
 )
-from metafab.cli.console import open_work, show
+from metafab.cli.console import announce, open_work, show
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
-    from metafab.cell.supercell import IntArray
+    from metafab.cell.supercell import IntArray, SupercellOrders
     from metafab.core.conventions import ComplexArray
 
 #: A simulation is stopped when it takes this many times the estimated time.
@@ -172,11 +172,13 @@ def fullwave_command(
     """Compute the transmitted orders of supercells by one of four solvers.
 
     ``model`` is the library's model of unlike neighbours, ``lone`` the local-period approximation: each pillar as in a
-    lattice of equal pillars.
+    lattice of equal pillars. Blocks that are solved when the command fails or is stopped are kept beside FILE, or
+    beside BLOCKS.json, and the same command goes on with them.
     """
     from metafab.cell.elements.solve import ElementNumerics
     from metafab.core.storage.files import require_file_output, write_json
-    from metafab.fullwave.blocks import BlockNumerics, read_blocks, solve_blocks
+    from metafab.fullwave.blocks import BlockNumerics, inputs_of_answers, read_blocks, solve_blocks
+    from metafab.fullwave.record import kept_blocks
     from metafab.library import load
 
     if output is not None:
@@ -185,15 +187,20 @@ def fullwave_command(
     rcwa = ElementNumerics() if target_error is None else ElementNumerics(target_error)
     numerics = BlockNumerics(rcwa, tuple(pixels_per_period or BlockNumerics().pixels_per_period))
     supercells = read_blocks(blocks, opened, solver, numerics)
-    answers = []
-    with open_work(workers) as (work, cost), work.processes() as executor:
-        for found in solve_blocks(supercells, opened, solver, numerics, executor=executor, progress=work.progress):
-            (t_xx, t_xy), (t_yx, t_yy) = found.t.transpose(1, 2, 0)
-            answers.append(BlockAnswer(found.order, t_xx, t_xy, t_yx, t_yy, found.error, found.seconds))
-    result = {"solver": solver, "blocks": answers}
-    if output is not None:
-        write_json(output, result)
-    show(result, json_, seconds=cost.seconds, file=output)
+    with kept_blocks(output or blocks, inputs_of_answers(library, solver, numerics), announce) as record:
+        with open_work(workers) as (work, cost), work.processes() as executor:
+            found = solve_blocks(
+                supercells, opened, solver, numerics, record=record, executor=executor, progress=work.progress
+            )
+        result = {"solver": solver, "blocks": [_answer(orders) for orders in found]}
+        if output is not None:
+            write_json(output, result)
+        show(result, json_, seconds=cost.seconds, file=output)
+
+
+def _answer(orders: SupercellOrders) -> BlockAnswer:
+    (t_xx, t_xy), (t_yx, t_yy) = orders.t.transpose(1, 2, 0)
+    return BlockAnswer(orders.order, t_xx, t_xy, t_yx, t_yy, orders.error, orders.seconds)
 
 
 def _place(text: str) -> tuple[float, float]:

@@ -54,6 +54,7 @@ def layout_command(
             return
         announce([*too_steep(job), *mask.announcement(job.design)])
         figures = write_layout(job)
+    announce(figures.warnings())
     show(figures, json_, seconds=cost.seconds, peak_rss_mb=cost.peak_rss_mb)
 
 

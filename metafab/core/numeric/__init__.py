@@ -3,6 +3,7 @@
 - ``compiled``        compilation of kernels by numba
 - ``ahead``           compilation by further processes, while a run goes on
 - ``lanes``           complex arithmetic on eight independent problems at a time
+- ``lane_matrices``   symmetric matrices of these: inverse and product
 - ``interpolation``   on a centred grid, by splines, and of a maximum between samples
 - ``bicubic_spline``  bicubic splines on tiles, and their errors
 - ``chebyshev``       interpolation between Chebyshev points

@@ -9,11 +9,14 @@ effect enters the stated error.
 
 from __future__ import annotations
 
+import math
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from metafab.cell import pillar_cell
 from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
 from metafab.core.errors import InputError
@@ -50,7 +53,50 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
     """
     start = time.perf_counter()
     neighbours = require_neighbours(library)
-    size_nm = supercell.size_nm
+    _require_known_sizes(library, supercell.size_nm)
+    known = library.surface(supercell.size_nm[..., 0], supercell.size_nm[..., 1])
+    local = np.stack([known.t_xx, known.t_yy])
+    order = supercell.propagating_orders("x")
+    joint = None
+    if has_joint_effect(supercell):
+        neighbours, joint = neighbours.uncoupled, joint_effect(supercell, local)
+    lights = _solve_lines(neighbours, supercell, order, local, joint)
+    # The model does not conserve energy: amplitudes are scaled down where more light would leave than arrives, of x or
+    # y polarised light, or of any other.
+    t = np.stack([light.amplitude / math.sqrt(max(1.0, light.power)) for light in lights], axis=2)
+    scale = 1.0 / math.sqrt(max(1.0, largest_power(supercell, order, t)))
+    library_error = float(np.max(known.error))
+    errors = [
+        _error(neighbours, library_error, supercell, axis, local[axis], light, joint)
+        for axis, light in enumerate(lights)
+    ]
+    weights = [float(np.sum(np.abs(light.amplitude) ** 2)) for light in lights]
+    error = _weighted_rms(errors, weights) + (1.0 - scale)
+    return SupercellOrders(supercell, order, scale * t, error, time.perf_counter() - start)
+
+
+def joint_share(library: Library, size_nm: FloatArray) -> FloatArray | None:
+    """Joint effect of the rows and columns of a small block, cross-polarised light included, over its field.
+
+    Shape (2,), for x and y polarised light; None where it is not solved. ``size_nm`` is (width, length), shape
+    (n_y, n_x, 2). InputError as :func:`solve_supercell`.
+    """
+    if any(not np.ptp(size_nm, axis=axis).any() for axis in (0, 1)):
+        return np.zeros(len(POLARISATIONS))
+    neighbours, supercell = require_neighbours(library), Supercell(pillar_cell(library.unit_cell, 0.0, 0.0), size_nm)
+    if not has_joint_effect(supercell):
+        return None
+    _require_known_sizes(library, size_nm)
+    known = library.surface(size_nm[..., 0], size_nm[..., 1])
+    local = np.stack([known.t_xx, known.t_yy])
+    joint = joint_effect(supercell, local)
+    lights = _solve_lines(neighbours.uncoupled, supercell, supercell.propagating_orders("x"), local, joint)
+    shares = [np.linalg.norm(joint[:, :, k]) / np.linalg.norm(light.amplitude) for k, light in enumerate(lights)]
+    return np.array(shares)
+
+
+def _require_known_sizes(library: Library, size_nm: FloatArray) -> None:
+    """Refuse sizes that the library does not hold, and empty sites."""
     for axis, (name, grid) in enumerate((("width_nm", library.width_nm), ("length_nm", library.length_nm))):
         low, high = float(size_nm[..., axis].min()), float(size_nm[..., axis].max())
         if low < grid[0] - 1e-6 or high > grid[-1] + 1e-6:
@@ -58,56 +104,93 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
             raise InputError.single(
                 "supercell", name, expected, f"{low:g} to {high:g} nm", "use the solver rcwa or meep"
             )
-    known = library.surface(size_nm[..., 0], size_nm[..., 1])
-    order = supercell.propagating_orders("x")
-    t, joint = np.zeros((2, len(order), 2, 2), dtype=np.complex128)
-    is_solved = has_joint_effect(supercell)
-    if is_solved:
-        neighbours, joint = neighbours.uncoupled, joint_effect(supercell, np.stack([known.t_xx, known.t_yy]))
-    squared, power = 0.0, 0.0
-    corrected = [_corrected(neighbours, size_nm, axis) for axis in range(len(POLARISATIONS))]
-    cross = np.zeros((2, *supercell.shape), dtype=np.complex128)
+
+
+def largest_power(supercell: Supercell, order: IntArray, t: ComplexArray) -> float:
+    """Power of all orders over the incident one, for the incident polarisation that makes it largest.
+
+    ``t``, shape (orders, 2, 2), is indexed [order, out, in]. Where x and y polarised light each carry no more than
+    arrives, light between them may: its power holds products of both fields.
+    """
+    jones = (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 1.0j)
+    of_x, of_y, of_sum, of_turning = (float(supercell.relative_power(order, t @ light, "x").sum()) for light in jones)
+    both = of_x + of_y
+    # Largest eigenvalue of the Hermitian matrix of the power, whose outer elements follow from the two sums.
+    return 0.5 * (both + math.hypot(of_x - of_y, of_sum - both, of_turning - both))
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Light of a block for one incident polarisation."""
+
+    corrections: ComplexArray  #: Shape (2, n_y, n_x), of the field of the sites by its rows and by its columns.
+    amplitude: ComplexArray  #: Shape (orders, 2), E_x and E_y of each order.
+    power: float  #: Of all orders, over that of the incident light.
+
+
+def _solve_lines(
+    neighbours: Neighbours, supercell: Supercell, order: IntArray, local: ComplexArray, joint: ComplexArray | None
+) -> list[_Light]:
+    """Light of a block by its rows and columns, coupled where the model holds their couplings, for x and y.
+
+    ``local`` are t_xx and t_yy of the pillars among equal ones, shape (2, n_y, n_x); ``joint`` is the joint effect of
+    rows and columns, shape (orders, 2, 2), where it is solved.
+    """
+    corrected = [_corrected(neighbours, supercell.size_nm, axis) for axis in range(len(POLARISATIONS))]
+    cross = np.zeros_like(local)
     if neighbours.cross is not None and all(len(coupled) == 2 for _, coupled in corrected):
         cross = CrossLight(neighbours, [coupled for _, coupled in corrected]).field(neighbours.cross)
-    for axis, (light, local) in enumerate(zip(POLARISATIONS, (known.t_xx, known.t_yy), strict=True)):
-        corrections, coupled = corrected[axis]
-        field = local + corrections.sum(axis=0)
-        amplitude, transmitted = _amplitude(supercell, order, axis, field, cross[axis], joint[:, :, axis])
-        if coupled and transmitted > 1.0:
+
+    def light(axis: int, corrections: ComplexArray, cross: ComplexArray) -> _Light:
+        amplitude = np.zeros((len(order), 2), dtype=np.complex128) if joint is None else joint[:, :, axis].copy()
+        amplitude[:, axis] += supercell.local_period(order, local[axis] + corrections.sum(axis=0))
+        amplitude[:, 1 - axis] += supercell.local_period(order, cross)
+        power = supercell.relative_power(order, amplitude, POLARISATIONS[axis])
+        return _Light(corrections, amplitude, float(np.sum(power)))
+
+    lights = []
+    for axis, (corrections, coupled) in enumerate(corrected):
+        found = light(axis, corrections, cross[axis])
+        if coupled and found.power > 1.0:
             # A resonance of coupled lines that sends out more light than arrives is false: lines without coupling.
-            corrections = block_corrections(neighbours.uncoupled, size_nm, axis)
-            field = local + corrections.sum(axis=0)
-            amplitude, transmitted = _amplitude(supercell, order, axis, field, np.zeros_like(field), joint[:, :, axis])
-        # The model does not conserve energy: amplitudes are scaled down where more light would leave than arrives.
-        t[:, :, axis] = amplitude / np.sqrt(max(1.0, transmitted))
-        norm = float(np.linalg.norm(local))
-        steps = [float(np.linalg.norm(local - np.roll(local, 1, axis))) / norm for axis in (1, 0)]
-        # The library's error is of t itself, that of the answer relative to the field.
-        error = float(np.max(known.error)) * np.sqrt(local.size) / norm
-        error += max(0.0, 1.0 - 1.0 / np.sqrt(max(1.0, transmitted)))
-        for direction in (0, 1):
-            if supercell.shape[1 - direction] > 1:
-                error += _stated_error(neighbours.line(direction, light), direction, size_nm, local, corrections)
-        if is_solved:
-            error += _JOINT_SHARE * float(np.linalg.norm(joint[:, :, axis]) / np.linalg.norm(amplitude))
-        elif min(supercell.shape) > 1:
-            error += _BLOCK_SHARE * steps[0] * steps[1]
-        weight = float(np.sum(np.abs(amplitude) ** 2))
-        squared, power = squared + error**2 * weight, power + weight
-    return SupercellOrders(supercell, order, t, float(np.sqrt(squared / power)), time.perf_counter() - start)
+            alone = block_corrections(neighbours.uncoupled, supercell.size_nm, axis)
+            found = light(axis, alone, np.zeros_like(cross[axis]))
+        lights.append(found)
+    return lights
 
 
-def _amplitude(
-    supercell: Supercell, order: IntArray, axis: int, field: ComplexArray, cross: ComplexArray, joint: ComplexArray
-) -> tuple[ComplexArray, float]:
-    """Amplitudes of orders, shape (orders, 2), and their power.
+def _error(
+    neighbours: Neighbours,
+    library_error: float,
+    supercell: Supercell,
+    axis: int,
+    local: ComplexArray,
+    light: _Light,
+    joint: ComplexArray | None,
+) -> float:
+    """Stated relative error of a block's light of polarisation ``axis``.
 
-    From a block's field and cross-polarised field, and from the joint effect on its orders, shape (orders, 2).
+    Sum of the errors of the library, of the scaling to the incident power, of rows, of columns, and of their joint
+    effect. ``library_error`` is that of t itself; ``local``, shape (n_y, n_x), is the field among equal pillars.
     """
-    amplitude = joint.copy()
-    amplitude[:, axis] += supercell.local_period(order, field)
-    amplitude[:, 1 - axis] += supercell.local_period(order, cross)
-    return amplitude, float(np.sum(supercell.relative_power(order, amplitude, POLARISATIONS[axis])))
+    norm = float(np.linalg.norm(local))
+    error = library_error * math.sqrt(local.size) / norm
+    error += max(0.0, 1.0 - 1.0 / math.sqrt(max(1.0, light.power)))
+    for direction in (0, 1):
+        if supercell.shape[1 - direction] > 1:
+            line = neighbours.line(direction, POLARISATIONS[axis])
+            error += _stated_error(line, direction, supercell.size_nm, local, light.corrections)
+    if joint is not None:
+        return error + _JOINT_SHARE * float(np.linalg.norm(joint[:, :, axis]) / np.linalg.norm(light.amplitude))
+    if min(supercell.shape) > 1:
+        along_x, along_y = (float(np.linalg.norm(local - np.roll(local, 1, side))) / norm for side in (1, 0))
+        error += _BLOCK_SHARE * along_x * along_y
+    return error
+
+
+def _weighted_rms(values: list[float], weights: list[float]) -> float:
+    """Root of the weighted mean square."""
+    return math.sqrt(sum(value**2 * weight for value, weight in zip(values, weights, strict=True)) / sum(weights))
 
 
 def _stated_error(

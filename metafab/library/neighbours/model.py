@@ -21,9 +21,21 @@ class TrainedLine:
     coupling: ComplexArray | None = None
 
     @property
+    def compared(self) -> tuple[float, float]:
+        """Rms errors of the chain and of the local-period approximation on held-out rows with steady phases.
+
+        Files of older trainings do not hold the second: then both are those on all held-out rows.
+        """
+        known = self.statistics
+        if math.isnan(known.local_period_error_alike):
+            return known.error, known.local_period_error
+        return known.error_alike, known.local_period_error_alike
+
+    @property
     def pays(self) -> bool:
-        """Whether the chain is not known to be worse on its held-out rows than the local-period approximation."""
-        return not self.statistics.error >= self.statistics.local_period_error
+        """Whether the chain is not known to be worse than the local-period approximation (:attr:`compared`)."""
+        error, local_period_error = self.compared
+        return not error >= local_period_error
 
 
 @dataclass(frozen=True)
@@ -75,6 +87,18 @@ class Neighbours:
     def pays(self) -> bool:
         """Whether every chain pays (:attr:`TrainedLine.pays`)."""
         return all(line.pays for line in self.lines)
+
+    @property
+    def warning(self) -> str | None:
+        """A sentence, without its full stop, about the worst chain that does not pay; None if all do."""
+        failing = [line.compared for line in self.lines if not line.pays]
+        if not failing:
+            return None
+        error, local_period_error = max(failing, key=lambda errors: errors[0] / errors[1])
+        return (
+            f"a chain of the model of neighbours does not lower the error: {error:.3f} of the field on held-out rows, "
+            f"{local_period_error:.3f} without it"
+        )
 
     @property
     def summary(self) -> str:

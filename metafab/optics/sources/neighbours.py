@@ -21,7 +21,7 @@ from metafab.core.storage.scratch import release, scratch
 from metafab.layout.pillars import Lattice, PillarMap, PillarTile, SizeIndexArray
 from metafab.library.library import Library
 from metafab.library.neighbours import require_neighbours
-from metafab.library.neighbours.windows import HALO_SITES, NeighbourTables
+from metafab.library.neighbours.mask.windows import HALO_SITES, NeighbourTables
 from metafab.library.use.amplitudes import half_space_indices
 from metafab.optics.point_spread import NeighbourMap
 from metafab.optics.sources.source import FieldTile, WrittenField, written_field
@@ -33,6 +33,11 @@ _MOST_KEPT_BYTES = 1 << 31
 #: Most blocks along a side of the map of the change by neighbours, and least sites of a block, about a period of Shen's
 #: lens. Blocks divide tiles.
 _MAP_BLOCKS, _BLOCK_SITES = 80, 16
+#: Windows that are drawn for each one that is wanted, as some meet the rim or gaps.
+_DRAWN = 8
+#: Steps along y and x whose multiples, modulo 1, are spread evenly: powers of the inverse of the plastic number, the
+#: counterpart of the golden ratio in two dimensions.
+_SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
 #: Largest kept amplitudes that stay in memory, bytes.
 _IN_MEMORY_BYTES = 1 << 26
 
@@ -169,6 +174,25 @@ def size_windows(pillars: PillarMap, halo: int) -> Iterator[tuple[int, int, Size
             window = wide[:, column : min(column + _TILE_SITES, n_x) + 2 * halo]
             if window[inner, inner].any():
                 yield row, column, window
+
+
+def filled_windows(pillars: PillarMap, count: int, sites: int) -> FloatArray:
+    """Sizes of windows of sites with a pillar each, spread evenly over the mask, shape (windows, sites, sites, 2).
+
+    At most ``count`` windows; fewer where most of a mask, such as a thin ring, holds no such window.
+    """
+    n_y, n_x = pillars.lattice.shape
+    steps = np.arange(1, _DRAWN * count + 1)[:, None] * _SPREAD % 1.0
+    corners = (steps * np.maximum([n_y - sites + 1, n_x - sites + 1], 1)).astype(np.intp)
+    index = np.zeros((len(corners), sites, sites), dtype=np.uint16)
+    for tile in pillars.tiles():
+        height, width = tile.size_index.shape
+        for window, (row, column) in zip(index, corners - (tile.row, tile.column), strict=True):
+            if -sites < row < height and -sites < column < width:
+                top, left = max(row, 0), max(column, 0)
+                found = tile.size_index[top : row + sites, left : column + sites]
+                window[top - row :, left - column :][: found.shape[0], : found.shape[1]] = found
+    return pillars.size_nm()[index[index.all(axis=(1, 2))][:count]]
 
 
 def _sites(row: int, column: int) -> tuple[slice, slice, slice]:

@@ -113,6 +113,9 @@ class PsfFigures(PairFigures):
     filter_fwhm_nm: float | None = optional()  #: Width of the colour filter; None for one wavelength.
     #: True where the library's model of unlike neighbours gave the light of the pillars, else None.
     with_neighbours: bool | None = optional()
+    #: Joint effect of rows and columns in windows of the mask, relative rms of the field, which the light by that model
+    #: leaves out; None for other light, and where it was not solved.
+    joint_error: float | None = optional()
     #: Relative rms error of the pillars' light from the corner of the field, which comes at an angle: its change, or
     #: what ``[optics] oblique`` leaves of it. None without a field, and where it was not solved
     #: (:func:`metafab.library.use.oblique.oblique_field_error`).

@@ -28,6 +28,7 @@ from metafab.steps.library import library_path
 from metafab.steps.optics.figures import PsfFigures
 from metafab.steps.optics.sources import (
     ideal_source,
+    joint_error,
     light_over_field,
     lit_source,
     oblique_error,
@@ -280,6 +281,7 @@ def _psf(job: Job) -> PsfFigures:
     return replace(
         figures,
         with_neighbours=isinstance(pillars, NeighbourField) or None,
+        joint_error=joint_error(job, pillars),
         oblique_error=None if seen is None else oblique_error(job, seen),
         oblique_change=seen.change.change if isinstance(seen, ObliqueField) else None,
     )

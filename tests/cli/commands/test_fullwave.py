@@ -10,6 +10,10 @@ import numpy as np
 import pytest
 
 from metafab import library
+from metafab.cell.supercell import Supercell, SupercellOrders
+from metafab.cli import entry
+from metafab.core.errors import SolverError
+from metafab.fullwave import blocks as solution
 from metafab.library import Library
 from tests.main_job import metafab
 
@@ -92,3 +96,42 @@ def test_a_row_of_circles_is_solved_and_keeps_its_power(circles_file: Path, tmp_
     answer = metafab("fullwave", _asked(tmp_path, oval), *options)
     assert (answer.code, answer.stdout) == (2, "")
     assert "`length_nm` equal to `width_nm` for circles" in answer.stderr
+
+
+def test_a_failed_command_names_its_block_and_the_next_one_goes_on(
+    library_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    lone, solved, fails = solution.lone_orders, list[float](), True
+
+    def solver(supercell: Supercell, library: Library) -> SupercellOrders:
+        first = float(supercell.size_nm[0, 0, 0])
+        if fails and first == 130.0:
+            raise SolverError("the layer of a supercell is singular")
+        solved.append(first)
+        return lone(supercell, library)
+
+    monkeypatch.setattr(solution, "lone_orders", solver)
+    rows = [{"width_nm": [[width, 150.0]], "length_nm": [[150.0, 180.0]]} for width in (120.0, 130.0, 140.0)]
+    asked, out = _asked(tmp_path, *rows), tmp_path / "answer.json"
+    command = "fullwave", asked, "--library", library_file, "--solver", "lone", "--json", "--out", out
+    monkeypatch.setattr("sys.argv", ["metafab", *map(str, command)])
+    with pytest.raises(SystemExit) as ended:
+        entry.main()
+    shown = capfd.readouterr()
+    assert (ended.value.code, shown.out) == (1, "")
+    assert "blocks[1]: the layer of a supercell is singular" in shown.err
+    (kept,) = tmp_path.glob("answer.*.partial")
+    assert str(kept) in shown.err
+    assert {each.name for each in tmp_path.iterdir()} == {"blocks.json", kept.name}
+
+    fails = False
+    with pytest.raises(SystemExit) as ended:
+        entry.main()
+    assert ended.value.code in {0, None}
+    assert solved == [120.0, 140.0, 130.0]
+    answer = json.loads(out.read_text(encoding="utf-8"))["blocks"]
+    assert json.loads(capfd.readouterr().out)["blocks"] == answer
+    assert {each.name for each in tmp_path.iterdir()} == {"blocks.json", "answer.json"}
+    whole = metafab(*command).json["blocks"]
+    for block, other in zip(answer, whole, strict=True):
+        assert {**block, "seconds": 0.0} == {**other, "seconds": 0.0}

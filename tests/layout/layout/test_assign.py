@@ -22,8 +22,8 @@ from metafab.layout.assign import wave_plate
 from metafab.layout.gap_rule import allowed_sizes
 from metafab.library import Library
 from metafab.library.neighbours import LineStatistics, Neighbours, TrainedLine
-from metafab.library.neighbours.choice import NeighbourChoice
 from metafab.library.neighbours.line import LineShape, initial_model
+from metafab.library.neighbours.mask.choice import NeighbourChoice
 from metafab.optics import neighbour_field
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design
@@ -160,16 +160,33 @@ def test_sizes_are_the_librarys(tiny: Assignment, smooth_library: Library) -> No
     smooth_library.at_sizes(used[:, 0], used[:, 1])  # raises where a size is not in the library
 
 
-@pytest.fixture(scope="module")
-def coupled_library(smooth_library: Library) -> Library:
-    """A library with chains of random parameters, and light enough in them to change the field by a tenth."""
+def _coupled(library: Library, strength: float) -> Library:
+    """A library with chains of random parameters whose modes radiate ``strength`` times as much."""
 
     def line(seed: int) -> TrainedLine:
         model = initial_model(LineShape(2, 1, 2), (100.0, 250.0), (100.0, 250.0), seed)
-        return TrainedLine(replace(model, own=6.0 * model.own, side=6.0 * model.side), LineStatistics())
+        return TrainedLine(replace(model, own=strength * model.own, side=strength * model.side), LineStatistics())
 
     along, across = line(1), line(2)
-    return replace(smooth_library, neighbours=Neighbours((along, along), (across, across)))
+    return replace(library, neighbours=Neighbours((along, along), (across, across)))
+
+
+@pytest.fixture(scope="module")
+def coupled_library(smooth_library: Library) -> Library:
+    """Chains with light enough in them to change the field by a tenth."""
+    return _coupled(smooth_library, 6.0)
+
+
+def _light_of_mask(profile: PhaseProfile, library: Library, found: Assignment, pillars: PillarMap) -> float:
+    """Share of light in the wanted wave, by the field of the mask, which another room computes."""
+    lattice = pillars.lattice
+    target = profile(lattice.x_um(), lattice.y_um()) + np.reshape(found.offsets_rad, (2, 1, 1))
+    sums = np.zeros(2, dtype=np.complex128)
+    for tile in neighbour_field(pillars, library).tiles():
+        n_y, n_x = tile.amplitude(0).shape
+        here = np.exp(-1j * target[:, tile.row : tile.row + n_y, tile.column : tile.column + n_x])
+        sums += [np.sum(here[axis] * tile.amplitude(axis)) for axis in (0, 1)]
+    return float(np.mean(np.abs(sums / np.count_nonzero(pillars.to_array())) ** 2))
 
 
 class _Recording(SerialExecutor):
@@ -193,18 +210,9 @@ def test_sizes_chosen_among_neighbours_send_more_light_to_the_target(
 ) -> None:
     asked = replace(tiny_design, rules=replace(tiny_design.rules, neighbours=True))
     found = layout.assign(profile, coupled_library, replace(asked, numerics=Numerics(tile_sites=476)))
-    figures, lattice, index = found.figures, found.pillars.lattice, found.pillars.to_array()
+    figures, index = found.figures, found.pillars.to_array()
+    efficiency = partial(_light_of_mask, profile, coupled_library, found)
     assert tiny.figures.neighbour_efficiency is None
-
-    def efficiency(pillars: PillarMap) -> float:
-        """By the field of the mask, which another room computes."""
-        target = profile(lattice.x_um(), lattice.y_um()) + np.reshape(found.offsets_rad, (2, 1, 1))
-        sums = np.zeros(2, dtype=np.complex128)
-        for tile in neighbour_field(pillars, coupled_library).tiles():
-            n_y, n_x = tile.amplitude(0).shape
-            here = np.exp(-1j * target[:, tile.row : tile.row + n_y, tile.column : tile.column + n_x])
-            sums += [np.sum(here[axis] * tile.amplitude(axis)) for axis in (0, 1)]
-        return float(np.mean(np.abs(sums / np.count_nonzero(index)) ** 2))
 
     assert figures.neighbour_efficiency == pytest.approx(efficiency(found.pillars), rel=1e-4)
     assert figures.neighbour_efficiency_before == pytest.approx(efficiency(tiny.pillars), rel=1e-4)
@@ -236,6 +244,19 @@ def test_sizes_chosen_among_neighbours_send_more_light_to_the_target(
     assert sampled.neighbour_phase_rms_error_before_rad == pytest.approx(
         figures.neighbour_phase_rms_error_before_rad, rel=0.1
     )
+
+
+def test_light_beyond_the_incident_one_is_scaled_as_in_a_psf(
+    profile: PhaseProfile, smooth_library: Library, tiny_design: Design
+) -> None:
+    """Chains so strong that their field carries more power than arrives: 0.79 of it in the wanted wave, unscaled."""
+    strong = _coupled(smooth_library, 60.0)
+    rules = replace(tiny_design.rules, neighbours=True)
+    asked = replace(tiny_design, rules=rules, numerics=Numerics(tile_sites=476))
+    found = layout.assign(profile, strong, asked)
+    light = _light_of_mask(profile, strong, found, found.pillars)
+    assert found.figures.neighbour_efficiency == pytest.approx(light, rel=1e-4)
+    assert light < 0.7 * found.figures.efficiency
 
 
 @pytest.mark.parametrize("target_rad", [0.0, 0.4])

@@ -13,10 +13,13 @@ import numpy as np
 import pytest
 
 from metafab.cell import pillar_cell
+from metafab.cell.elements.solve import ElementNumerics
 from metafab.cell.supercell import Supercell, SupercellOrders
-from metafab.core.errors import InputError
+from metafab.core.errors import InputError, SolverError
 from metafab.core.parallel.executor import SerialExecutor
-from metafab.fullwave.blocks import Solver, read_blocks, solve_blocks
+from metafab.fullwave import blocks
+from metafab.fullwave.blocks import BlockNumerics, Solver, read_blocks, solve_blocks
+from metafab.fullwave.record import kept_blocks
 from metafab.library import Library
 from tests.fake_meep import UncoupledPillars, response
 
@@ -143,22 +146,120 @@ def test_fdtd_solves_both_polarisations_on_all_grids(smooth_library: Library) ->
 
 
 class CountedCalls(SerialExecutor):
-    """Executor that counts the calls which it gets, and does none of them."""
+    """Executor that counts the calls which it gets."""
 
     def __init__(self) -> None:
         self.calls = 0
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         self.calls += 1
-        return super().submit(lambda: None)
+        return super().submit(fn, *args, **kwargs)
 
 
-def test_workers_solve_blocks_by_the_model_but_no_rows(smooth_library: Library) -> None:
-    cell, rng = pillar_cell(smooth_library.unit_cell, 0.0, 0.0), np.random.default_rng(1)
-    rows, blocks = ([Supercell(cell, rng.uniform(100.0, 250.0, (n_y, 3, 2))) for _ in range(4)] for n_y in (1, 2))
-    executor = CountedCalls()
-    assert list(solve_blocks(blocks, smooth_library, "model", executor=executor)) == 4 * [None]
+def _answer(supercell: Supercell) -> SupercellOrders:
+    """An answer in place of a solver's, unlike for unlike pillars."""
+    order = supercell.propagating_orders("x")
+    t = np.linspace(0.0, supercell.size_nm.sum(), 4 * len(order)).reshape(-1, 2, 2) / 7.0 + 0.3j
+    return SupercellOrders(supercell, order, t, 0.01, 2.0)
+
+
+def _rows(library: Library, count: int) -> list[Supercell]:
+    cell, rng = pillar_cell(library.unit_cell, 0.0, 0.0), np.random.default_rng(1)
+    return [Supercell(cell, rng.uniform(100.0, 250.0, (1, 3, 2))) for _ in range(count)]
+
+
+def test_workers_solve_blocks_by_the_model_but_no_rows(
+    smooth_library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(blocks, "solve_supercell", lambda _, supercell: _answer(supercell))
+    rows, executor = _rows(smooth_library, 4), CountedCalls()
+    squares = [Supercell(row.cell, np.concatenate([row.size_nm, row.size_nm[:, ::-1]])) for row in rows]
+    mixed = [*rows[:2], *squares, *rows[2:]]
+    found = solve_blocks(mixed, smooth_library, "model", executor=executor)
     assert executor.calls == 4
-    with pytest.raises(InputError, match="model of neighbours"):  # in this process
-        list(solve_blocks(rows, smooth_library, "model", executor=executor))
-    assert executor.calls == 4
+    for orders, supercell in zip(found, mixed, strict=True):
+        assert orders.supercell is supercell
+
+
+def test_a_library_without_a_model_is_refused(smooth_library: Library) -> None:
+    with pytest.raises(InputError, match="model of neighbours"):
+        solve_blocks(_rows(smooth_library, 2), smooth_library, "model")
+
+
+@pytest.mark.parametrize("failure", [SolverError("no answer"), np.linalg.LinAlgError("Singular matrix")])
+def test_blocks_that_fail_are_named_and_all_others_are_kept(
+    smooth_library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failure: Exception
+) -> None:
+    rows, solved, said = _rows(smooth_library, 5), list[Supercell](), list[str]()
+
+    def solver(supercell: Supercell, library: Library) -> SupercellOrders:
+        if any(np.array_equal(supercell.size_nm, rows[k].size_nm) for k in (1, 3)):
+            raise failure
+        solved.append(supercell)
+        return _answer(supercell)
+
+    monkeypatch.setattr(blocks, "lone_orders", solver)
+    beside = tmp_path / "blocks.json"
+    with (
+        pytest.raises(SolverError, match=rf"blocks\[1\]: {failure}\nblocks\[3\]: {failure}"),
+        kept_blocks(beside, "ab" * 32, said.extend) as record,
+    ):
+        solve_blocks(rows, smooth_library, "lone", record=record)
+    assert len(solved) == 3
+    (file,) = tmp_path.iterdir()
+    assert file.name == "blocks.abababab.partial" and str(file) in said[0]
+
+    # Without the two that fail, and in another order, nothing is left to solve.
+    rest = [rows[k] for k in (4, 0, 2)]
+    with kept_blocks(beside, "ab" * 32) as record:
+        found = solve_blocks(rest, smooth_library, "lone", record=record)
+    assert len(solved) == 3
+    for orders, row in zip(found, rest, strict=True):
+        expected = _answer(row)
+        assert orders.supercell is row and (orders.error, orders.seconds) == (0.01, 2.0)
+        np.testing.assert_array_equal(orders.order, expected.order)
+        np.testing.assert_array_equal(orders.t, expected.t)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_interrupted_solution_keeps_its_blocks(
+    smooth_library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows, solved = _rows(smooth_library, 4), list[Supercell]()
+
+    def interrupted(supercell: Supercell, library: Library) -> SupercellOrders:
+        if len(solved) == 2:
+            raise KeyboardInterrupt
+        solved.append(supercell)
+        return _answer(supercell)
+
+    monkeypatch.setattr(blocks, "lone_orders", interrupted)
+    with pytest.raises(KeyboardInterrupt), kept_blocks(tmp_path / "answer.json", "cd" * 32) as record:
+        solve_blocks(rows, smooth_library, "lone", record=record)
+    monkeypatch.setattr(blocks, "lone_orders", lambda row, library: solved.append(row) or _answer(row))
+    with kept_blocks(tmp_path / "answer.json", "cd" * 32) as record:
+        solve_blocks(rows, smooth_library, "lone", record=record)
+    assert len(solved) == 4
+
+
+def test_nothing_stays_where_no_block_was_solved_or_the_folder_is_closed(
+    smooth_library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    for is_open in (True, False):
+        monkeypatch.setattr("metafab.fullwave.record.os.access", lambda *_, answer=is_open: answer)
+        with pytest.raises(KeyboardInterrupt), kept_blocks(tmp_path / "answer.json", "cd" * 32, said.extend) as record:
+            if not is_open:
+                solve_blocks(_rows(smooth_library, 1), smooth_library, "lone", record=record)
+            raise KeyboardInterrupt
+    assert not list(tmp_path.iterdir())
+    assert not said
+
+
+def test_solver_accuracy_and_library_make_another_record(smooth_library: Library, tmp_path: Path) -> None:
+    one, other, exact = tmp_path / "one.h5", tmp_path / "other.h5", BlockNumerics(ElementNumerics(1e-4))
+    one.write_bytes(b"1")
+    other.write_bytes(b"2")
+    usual = BlockNumerics()
+    asked = (one, "rcwa", usual), (other, "rcwa", usual), (one, "meep", usual), (one, "rcwa", exact)
+    assert len({blocks.inputs_of_answers(*each) for each in asked}) == 4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,3 +64,23 @@ def test_a_model_that_is_worse_than_lone_pillars_is_said_not_to_pay(smooth_libra
     (sentence,) = replace(smooth_library, neighbours=bad).warnings()
     assert "does not lower the error" in sentence and "neighbours.rows" in sentence
     assert replace(smooth_library, neighbours=good).warnings() == []
+
+
+@pytest.mark.parametrize(
+    ("error_alike", "alone", "pays"),
+    [(0.10, 0.15, True), (0.20, 0.15, False), (0.10, math.nan, False)],
+    ids=["better as in a lens", "worse as in a lens", "older file"],
+)
+def test_rows_as_in_a_lens_decide_whether_a_model_pays(
+    smooth_library: Library, tmp_path: Path, error_alike: float, alone: float, pays: bool
+) -> None:
+    """On all rows together, random ones included, the chain is worse; only files of older trainings count that."""
+    statistics = LineStatistics(
+        60, 6, local_period_error=0.4, error=0.5, error_alike=error_alike, local_period_error_alike=alone
+    )
+    line = replace(_train(smooth_library).along[0], statistics=statistics)
+    save(replace(smooth_library, neighbours=Neighbours((line, line), (line, line))), tmp_path / "library.h5")
+    read = load(tmp_path / "library.h5")
+    assert read.neighbours is not None and read.neighbours.pays == pays
+    told = {(0.20, 0.15): "0.200 of the field on held-out rows, 0.150 without it", (0.10, math.nan): "0.500 of the"}
+    assert [told[error_alike, alone] in sentence for sentence in read.warnings()] == ([] if pays else [True])

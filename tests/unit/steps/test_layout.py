@@ -8,14 +8,16 @@ from pathlib import Path
 import pytest
 
 from metafab.core.errors import InputError
-from metafab.core.figures import LightMapping
+from metafab.core.figures import LightMapping, LineStatistics
 from metafab.core.storage.files import plain
 from metafab.core.storage.tables import typed
 from metafab.library import Library, save
+from metafab.library.neighbours import Neighbours, TrainedLine
+from metafab.library.neighbours.line import LineShape, initial_model
 from metafab.spec import Exposure, load_design
 from metafab.steps import Job, write_layout
 from metafab.steps.layout import LAYOUT, LayoutFigures
-from tests.main_job import SMALL
+from tests.main_job import SMALL, metafab
 
 COPIES = "\n[[mask.copies]]\nat_um = [0.0, 0.0]\n[[mask.copies]]\nat_um = [40.0, 0.0]\nbias_nm = {bias}\n"
 
@@ -62,3 +64,27 @@ def test_pillars_of_unknown_response_are_told_at_each_wavelength(smooth_library:
     (told,) = replace(own, lights=lights).warnings()
     assert told.startswith("at 460 nm, 50 % of the pillars")
     assert own.warnings() == []
+
+
+@pytest.mark.parametrize(("rule", "error", "told"), [(True, 0.2, True), (True, 0.1, False), (False, 0.2, False)])
+def test_sizes_chosen_by_a_model_that_does_not_pay_are_told(
+    smooth_library: Library, tmp_path: Path, rule: bool, error: float, told: bool
+) -> None:
+    """By ``metafab run``, which announces the figures' warnings, and by ``metafab layout``."""
+    statistics = LineStatistics(60, 6, local_period_error_alike=0.15, error_alike=error)
+    models = [initial_model(LineShape(2, 1, 1), (100.0, 250.0), (100.0, 250.0), seed) for seed in (1, 2)]
+    along, across = (TrainedLine(model, statistics) for model in models)
+    library = replace(smooth_library, neighbours=Neighbours((along, along), (across, across)))
+    made = job(tmp_path, library, 0.0)
+    figures = write_layout(Job(replace(made.design, rules=replace(made.design.rules, neighbours=rule)), made.folder))
+    sentences = [sentence for sentence in figures.warnings() if "does not lower the error: 0.200" in sentence]
+    assert len(sentences) == told
+    assert all("`rules.neighbours`" in sentence for sentence in sentences)
+    assert figures == typed(LayoutFigures, plain(figures))
+    design = made.folder / "design.toml"
+    text = design.read_text(encoding="utf-8").replace("[rules]", f"[rules]\nneighbours = {str(rule).lower()}")
+    design.write_text(text, encoding="utf-8")
+    answer = metafab("layout", design, "-o", tmp_path / "out", "--json")
+    assert answer.code == 0, answer.stderr
+    assert ("`rules.neighbours`" in answer.stderr) == told
+    assert ("neighbour_warning" in answer.json) == told

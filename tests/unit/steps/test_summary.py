@@ -133,18 +133,22 @@ def test_what_only_pillars_have_is_left_out_without_a_mask() -> None:
 def test_the_model_of_neighbours_replaces_the_approximation_where_the_psf_used_it() -> None:
     summary = run_summary()
     assert summary.library is not None
-    library = replace(summary.library, neighbours=LineStatistics(error_alike=0.03))
-    coupling = CouplingFigures(0.12, 0.96, 1, ("rcwa",))
-    for psf, source, value in (
-        (PSF, "local-period approximation", 0.12),
-        (replace(PSF, with_neighbours=True), "model of unlike neighbours", 0.03),
+    coupling, joint = CouplingFigures(0.12, 0.96, 1, ("rcwa",)), "joint effect of rows and columns"
+    for light, windows, expected in (
+        (PSF, None, {"local-period approximation": 0.12}),
+        (replace(PSF, with_neighbours=True), 0.08, {"model of unlike neighbours": 0.03, joint: 0.08}),
+        (replace(PSF, with_neighbours=True), None, {"model of unlike neighbours": 0.03, joint: None}),
     ):
+        library = replace(summary.library, neighbours=LineStatistics(error_alike=0.03))
+        psf = replace(light, joint_error=windows)
         lines = {
             line.source: line
             for line in error_budget(RunSummary(library=library, layout=LAYOUT, psf=psf, coupling=coupling))
         }
-        assert lines[source].value == value
-        assert len({"local-period approximation", "model of unlike neighbours"} & lines.keys()) == 1
+        found = {"local-period approximation", "model of unlike neighbours", joint} & lines.keys()
+        assert {source: lines[source].value for source in found} == expected
+        if joint in expected:
+            assert ("not solved" in lines[joint].how) == (expected[joint] is None)
 
 
 def test_a_run_without_figures_saves_nothing(small_design: Design) -> None:

@@ -151,3 +151,19 @@ def test_libraries_without_a_model_and_turned_pillars_are_refused(library: Libra
         neighbour_field(pillars, smooth_library)
     with pytest.raises(InputError, match="upright pillars in a rectangular lattice"):
         neighbour_field(replace(pillars, angle_deg=np.zeros(41)), library)
+
+
+def test_windows_are_full_and_spread_over_the_mask() -> None:
+    """Across tiles; none meets a gap or the rim."""
+    index = np.random.default_rng(1).integers(1, 41, (90, 70)).astype(np.uint16)
+    index[:, 30:40] = index[:20] = 0
+    pillars = _map(index, 16)
+    windows = neighbours.filled_windows(pillars, 12, 3)
+    assert windows.shape == (12, 3, 3, 2)
+    blocks = np.lib.stride_tricks.sliding_window_view(pillars.size_nm()[index], (3, 3), axis=(0, 1))
+    places = [np.argwhere(np.all(blocks == window.transpose(2, 0, 1), axis=(2, 3, 4))) for window in windows]
+    assert all(len(found) == 1 for found in places)
+    rows, columns = np.concatenate(places).T
+    assert np.ptp(rows) > 40 and (columns < 28).any() and (columns >= 40).any()
+    assert len(neighbours.filled_windows(_map(np.eye(30, dtype=np.uint16), 16), 4, 3)) == 0
+    assert len(neighbours.filled_windows(_map(index[:2], 16), 4, 3)) == 0

@@ -25,7 +25,7 @@ from metafab.spec.design import Optics
 from metafab.steps.job import Job
 from metafab.steps.library import library_path
 from metafab.steps.optics import mask_source, written_light
-from metafab.steps.optics.sources import light_over_field
+from metafab.steps.optics.sources import joint_error, light_over_field
 
 
 @pytest.fixture
@@ -123,3 +123,29 @@ def test_the_error_budget_asks_for_light_at_angles(
             found = light_over_field(job, written_light(job, path), [(tangent, 0.0)])
             lights[stated, oblique, tangent] = isinstance(found, ObliqueField)
     assert [case for case, is_oblique in lights.items() if is_oblique] == [(0.01, None, 0.0)]
+
+
+def test_the_joint_effect_is_that_of_a_few_windows_of_the_mask(
+    design: Design, smooth_library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Root mean square over windows and lights; none where one is not solved, nor for pillars without neighbours."""
+    model = initial_model(LineShape(2, 1, 2), (100.0, 250.0), (100.0, 250.0), 1)
+    line, path = TrainedLine(model, LineStatistics()), _write_mask(design, tmp_path, 300)
+    library.save(replace(smooth_library, neighbours=Neighbours((line, line), (line, line))), design.library)
+    told: list[tuple[str, float, float]] = []
+    work = Work(workers=1, progress=lambda *what: told.append(what))
+    asked = Job(replace(design, optics=Optics(neighbours=True)), tmp_path / "run", work)
+    light, sizes = written_light(asked, path), list[np.ndarray]()
+
+    def share(_: Library, size_nm: np.ndarray) -> np.ndarray | None:
+        sizes.append(size_nm)
+        return np.array([0.03, 0.04]) * len(sizes) if len(sizes) <= 8 else None
+
+    monkeypatch.setattr("metafab.library.neighbours.joint_share", share)
+    found = joint_error(asked, light)
+    assert found == pytest.approx(0.05 * np.sqrt(204 / 8 / 2))
+    assert told[-1] == ("joint effect of neighbours", 8, 8)
+    assert all(each.shape == (3, 3, 2) and each.all() for each in sizes)
+    sizes += 9 * [sizes[0]]
+    assert joint_error(asked, light) is None
+    assert joint_error(asked, mask_source(asked, path)) is None

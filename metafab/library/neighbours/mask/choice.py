@@ -3,9 +3,9 @@
 The mapping wants the largest overlap of the field with the target wave, F = sum_m Re(w_m t_m) over all sites and both
 polarisations, w = exp(-i target). In each round the chains of the window are solved with two right sides, which gives
 the derivatives of all corrections in F by the size of each pillar
-(:func:`metafab.library.neighbours.open_lines.open_line_slopes`). Every pillar then takes the best of the sizes one step
-of the grid around its own: the library's t(s) counts exactly, the corrections to first order, and a step has a price,
-since all pillars move at once.
+(:func:`metafab.library.neighbours.mask.open_lines.open_line_slopes`). Every pillar then takes the best of the sizes one
+step of the grid around its own: the library's t(s) counts exactly, the corrections to first order, and a step has a
+price, since all pillars move at once.
 
 F alone lets the phase of the wanted light drift by 0.05 rad from place to place: a drift costs F only to second order.
 Phases are held by error diffusion: along each row a running sum of the phase errors of the field, and of what the moves
@@ -23,9 +23,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric.compiled import compiled
+from metafab.library.neighbours.mask.open_lines import IndexArray
+from metafab.library.neighbours.mask.windows import NeighbourTables
 from metafab.library.neighbours.model import Neighbours
-from metafab.library.neighbours.open_lines import IndexArray
-from metafab.library.neighbours.windows import NeighbourTables
 
 #: Rounds, and price in F of a step of width or length. Twelve rounds win twice the light by the model, but none on rows
 #: by full wave: sizes drift to where corrections by rows and by columns are large, and their sum is not exact.

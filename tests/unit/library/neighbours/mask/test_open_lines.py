@@ -6,7 +6,8 @@ import numpy as np
 
 from metafab.core.conventions import ComplexArray
 from metafab.library.neighbours.line import LineModel, LineShape, initial_model
-from metafab.library.neighbours.open_lines import SizeTables, open_line_corrections, open_line_slopes
+from metafab.library.neighbours.mask.open_lines import open_line_corrections, open_line_slopes
+from metafab.library.neighbours.mask.size_tables import SizeTables
 from metafab.library.neighbours.solve import line_corrections, uniform_field
 
 SPAN = (100.0, 250.0)

@@ -17,11 +17,12 @@ from metafab.cell.supercell import Supercell
 from metafab.core.errors import InputError
 from metafab.core.figures import LineStatistics
 from metafab.library.library import Library, inputs_of
-from metafab.library.neighbours import require_neighbours, rows, solve_supercell, training
+from metafab.library.neighbours import require_neighbours, rows, solve_supercell
 from metafab.library.neighbours.blocks import training as blocks
 from metafab.library.neighbours.doubt import RowDoubts, error_law
-from metafab.library.neighbours.fit import FitLimits, RowSet, fit, loss
 from metafab.library.neighbours.line import LineModel, LineShape
+from metafab.library.neighbours.training import growth, held_out, row_sets, training
+from metafab.library.neighbours.training.fit import FitLimits, RowSet, fit, loss
 from metafab.library.store import load, save
 from metafab.spec import UnitCell
 from metafab.spec.cell import Neighbours as Training
@@ -34,12 +35,13 @@ SMALL_SHAPE = LineShape(2, 1, 1)
 def coarse() -> Iterator[None]:
     """Rows of three pillars and blocks of four by coarse elements, and a small chain: a training within seconds."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (rows, training):
+        for module in (rows, training, growth, held_out, row_sets):
             patch.setattr(module, "ROW_KINDS", (rows.RowKind(3),))
+        for module in (rows, training, held_out):
             patch.setattr(module, "RESOLUTION", 1.0)
         patch.setattr(blocks, "BLOCK_KINDS", (((2, 2), True),))
-        patch.setattr(training, "SHAPES", (SMALL_SHAPE, SMALL_SHAPE))
-        patch.setattr(training, "STARTS", 1)
+        patch.setattr(growth, "SHAPES", (SMALL_SHAPE, SMALL_SHAPE))
+        patch.setattr(growth, "STARTS", 1)
         yield
 
 
@@ -97,6 +99,8 @@ def test_training_restarts_and_is_stored(asked: Library, tmp_path: Path, monkeyp
     assert (statistics.rows, statistics.held_out) == (55, 10)
     assert statistics.error > 0.0
     assert statistics.solver_error > 0.0
+    # Half of the held-out rows have steady phases.
+    assert 0.0 < statistics.local_period_error_alike < np.sqrt(2.0) * statistics.local_period_error
 
     path = tmp_path / "library.h5"
     save(replace(asked, neighbours=model), path)
@@ -115,7 +119,7 @@ def test_a_stopped_training_keeps_its_fits(
 ) -> None:
     checkpoint = solved_rows
     begun: list[int] = []
-    start, finish = training._start, training._finish
+    start, finish = growth._start, growth._finish
 
     def counted(task: object) -> LineModel:
         begun.append(1)
@@ -128,8 +132,8 @@ def test_a_stopped_training_keeps_its_fits(
         return finish(task)  # type: ignore[arg-type]
 
     stops: list[int] = []
-    monkeypatch.setattr(training, "_start", counted)
-    monkeypatch.setattr(training, "_finish", stopped)
+    monkeypatch.setattr(growth, "_start", counted)
+    monkeypatch.setattr(growth, "_finish", stopped)
     with pytest.raises(KeyboardInterrupt):
         training.train(asked, checkpoint=checkpoint)
     assert len(begun) == 2
@@ -141,12 +145,12 @@ def test_a_stopped_training_keeps_its_fits(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(training, "_start", none_left)
-        patch.setattr(training, "_refit", unfitted)
+        patch.setattr(growth, "_start", none_left)
+        patch.setattr(growth, "_refit", unfitted)
         with pytest.raises(KeyboardInterrupt):
             training.train(asked, checkpoint=checkpoint)
-    monkeypatch.setattr(training, "_start", none_left)
-    monkeypatch.setattr(training, "_finish", none_left)
+    monkeypatch.setattr(growth, "_start", none_left)
+    monkeypatch.setattr(growth, "_finish", none_left)
     model = training.train(asked, checkpoint=checkpoint)
     assert trained.neighbours is not None
     for one, other in zip(model.lines, trained.neighbours.lines, strict=True):
@@ -163,8 +167,8 @@ def test_the_best_start_is_fitted_to_all_rows(
         fits.append((model, sets, limits, fit(model, sets, limits)))
         return fits[-1][-1]
 
-    monkeypatch.setattr(training, "STARTS", 2)
-    monkeypatch.setattr(training, "fit", recorded)
+    monkeypatch.setattr(growth, "STARTS", 2)
+    monkeypatch.setattr(growth, "fit", recorded)
     lines = training.train(asked, checkpoint=solved_rows).lines
     # Three stages for each of two starts of two chains, the last fit of each chain, and that to all rows.
     assert len(fits) == 3 * 4 + 2 + 2
@@ -201,7 +205,7 @@ def test_more_modes_come_in_a_stage_of_their_own(trained: Library, asked: Librar
 def test_rows_are_chosen_by_their_gain(trained: Library) -> None:
     """Numbers beyond the solved rows: those of random sizes whose field moves most with errors of the matrices."""
     sampler, model = training._samplers(trained)[0], require_neighbours(trained).along[0].model
-    chosen = training._Plan(sampler, dict.fromkeys(range(60), ()), [], [], 0).unsure(model)
+    chosen = growth.Plan(sampler, dict.fromkeys(range(60), ()), [], [], 0).unsure(model)
     random = [number for number in range(60, 300) if number % 2 == 0]
     size_nm = np.stack([sampler.pillars(number) for number in random])
     t = sampler.t[[np.flatnonzero(np.all(sampler.size_nm == each, axis=1))[0] for each in size_nm.reshape(-1, 2)], 0]
@@ -225,8 +229,8 @@ def test_few_held_out_rows_state_enough() -> None:
     The median ratio is exp(0.5 t sqrt(1 + 5/n)), t the quantile 1e-3 of Student's distribution: 36 and 5.
     """
     rng = np.random.default_rng(3)
-    for held_out, most in ((10, 45.0), (160, 6.0)):
-        shape = (200, held_out + 100)
+    for held, most in ((10, 45.0), (160, 6.0)):
+        shape = (200, held + 100)
         values = np.exp(
             rng.uniform(
                 [[[-4.0]], [[-2.0]], [[-1.0]], [[1.0]], [[0.0]]],
@@ -238,9 +242,9 @@ def test_few_held_out_rows_state_enough() -> None:
         errors = 0.03 * values[0] ** 0.3 * values[2] ** 0.5 * values[3] ** 0.4 * np.exp(0.5 * rng.normal(size=shape))
         ratios = []
         for one, error in zip(values.swapaxes(0, 1), errors, strict=True):
-            law = error_law(RowDoubts(*one[:, :held_out]), error[:held_out])
-            stated = RowDoubts(*one[:, held_out:]).stated_errors(law)
-            ratios.append(stated / error[held_out:])
+            law = error_law(RowDoubts(*one[:, :held]), error[:held])
+            stated = RowDoubts(*one[:, held:]).stated_errors(law)
+            ratios.append(stated / error[held:])
         assert np.mean(np.less(ratios, 1.0)) < 3e-3
         assert np.median(ratios) < most
 

@@ -20,7 +20,6 @@ amplitudes b, and the derivative by the size s of site m (:func:`open_line_slope
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +27,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.numeric.compiled import compiled
+from metafab.core.numeric.lane_matrices import add, clear, invert_symmetric, multiply_symmetric
 from metafab.core.numeric.lanes import (
     ELEMENT,
     LANES,
@@ -36,59 +36,17 @@ from metafab.core.numeric.lanes import (
     lane_array,
     subtract_dot,
     subtract_multiple,
-    subtract_multiples,
     subtract_products,
     sum_terms,
 )
-from metafab.library.neighbours.line import LineModel, paired
-from metafab.library.neighbours.solve import uniform_field, uniform_slopes
+from metafab.library.neighbours.mask.size_tables import SizeTables
 
 IndexArray = NDArray[np.uint16]
 
-#: Diagonal of the matrix of a site without a pillar, which thereby carries no light.
-_NO_PILLAR = 1e12
 #: Sites of a part of a line, and sites beyond it from which amplitudes are substituted back. Measured with 12 modes: a
 #: part's inverses stay in a cache of 1 MB, those of 560 sites did not and took 1.6 times as long on loaded cores. Lines
 #: of a lens that end 40 sites beyond a site change its field by 3e-4 (rms), and by 8e-5 on average over a part.
 _BLOCK_SITES, _AHEAD_SITES = 40, 40
-
-
-@dataclass(frozen=True)
-class SizeTables:
-    """A chain of paired modes, and its polynomials at each size."""
-
-    even: int  #: Number of even modes, which come first.
-    modes: int  #: Number of all modes.
-    pairing: ComplexArray  #: Shape (pairs,), element of the hop from odd mode k to even mode k.
-    #: Shape (rows, terms + 1, 2), real and imaginary parts: free elements of H of the even and of the odd modes, c, e,
-    #: g and Pi g. The last term is 1 at a site without a pillar.
-    coefficients: FloatArray
-    #: Shape (sizes, 3, terms + 1), polynomials of each size, and their derivatives by the size along and across the
-    #: line, per nm.
-    terms: FloatArray
-    uniform: ComplexArray  #: Shape (sizes, 3), y in a line of equal pillars, and its derivatives likewise.
-
-    @classmethod
-    def of(cls, model: LineModel, size_nm: FloatArray) -> SizeTables:
-        """Tables of sizes, shape (sizes, 2), along and across the line; (0, 0) is a site without a pillar."""
-        chain, pairing = paired(model)
-        shape, even = chain.shape, chain.shape.even
-        pillar = np.all(size_nm > 0.0, axis=1)
-        filled_nm = np.where(pillar[:, None], size_nm, chain.along_nm[0])
-        at, d_at = chain.polynomials(filled_nm), chain.polynomial_slopes(filled_nm)
-        terms = np.zeros((len(size_nm), 3, shape.terms + 1))
-        terms[pillar, 0, :-1], terms[pillar, 1:, :-1] = at[pillar], d_at.transpose(1, 0, 2)[pillar]
-        terms[~pillar, 0, -1] = 1.0
-        uniform = np.zeros((len(size_nm), 3), dtype=np.complex128)
-        uniform[:, 0], uniform[:, 1:] = uniform_field(chain, at), uniform_slopes(chain, at, d_at).T
-        uniform[~pillar] = 0.0
-        parameters = (chain.site, chain.source, chain.own, chain.side, chain.side * shape.parity)
-        coefficients = np.zeros((sum(each.shape[1] for each in parameters), shape.terms + 1), dtype=np.complex128)
-        coefficients[:, :-1] = np.concatenate(parameters, axis=1).T
-        row, column = shape.pairs
-        coefficients[: row.size, -1] = np.where(row == column, _NO_PILLAR, 0.0)
-        parts = np.stack([coefficients.real, coefficients.imag], axis=-1)
-        return cls(even, shape.modes, pairing, parts, terms, uniform)
 
 
 def open_line_corrections(tables: SizeTables, size_index: IndexArray) -> ComplexArray:
@@ -137,7 +95,7 @@ class _Chain(NamedTuple):
     hop: FloatArray  #: Lane array of :func:`_hop_lanes`.
 
 
-class _Space(NamedTuple):
+class _Workspace(NamedTuple):
     """Lane arrays of one group of lines. The kernels can only subtract products, so that some sums are held negated."""
 
     sides: int  #: Right sides: 1, or 2 with the adjoint one.
@@ -171,7 +129,7 @@ def _solve_lines(
     chain = _Chain(even, modes, len(pairing), rows, len(rows) - even - 2 * modes, terms, hop)
     sides = 2 if len(weight) > 0 else 1
     kept = min(sites, _BLOCK_SITES + _AHEAD_SITES)
-    space = _Space(
+    space = _Workspace(
         sides,
         kept,
         lane_array(kept * modes * modes),
@@ -202,7 +160,7 @@ def _solve_lines(
 @compiled
 def _eliminate(
     chain: _Chain,
-    space: _Space,
+    space: _Workspace,
     size_index: IndexArray,
     first: int,
     weight: ComplexArray,
@@ -214,28 +172,28 @@ def _eliminate(
         place = m % space.kept
         matrix = place * modes * modes
         _load_terms(size_index, first, m, chain.terms, n_terms, space.at_site)
-        _place_matrix(space.inverse, matrix, chain, space.at_site, 0)
-        _zero(space.source, place * modes, modes)
+        _place_site_matrix(space.inverse, matrix, chain, space.at_site, 0)
+        clear(space.source, place * modes, modes)
         sum_terms(space.source, place * modes, chain.rows, chain.own - even, space.at_site, 0, even)
         if space.sides == 2:
             sum_terms(space.here, chain.own, chain.rows, chain.own, space.at_site, 0, even + 2 * modes)
             _load_weights(weight, first, m, space.weight)
-            _collect(space.source, (space.kept + place) * modes, chain, space, m)
+            _place_adjoint_source(space.source, (space.kept + place) * modes, chain, space, m)
         if m > 0:
             previous = (m - 1) % space.kept
             before = previous * modes * modes
-            _add_previous(space.inverse, matrix, before, chain)
+            _add_eliminated(space.inverse, matrix, before, chain)
             for side in range(space.sides):
                 at, near = (side * space.kept + place) * modes, (side * space.kept + previous) * modes
-                _multiply(space.inverse, before, space.source, near, space.amplitude, side * modes, modes)
+                multiply_symmetric(space.inverse, before, space.source, near, space.amplitude, side * modes, modes)
                 _add_hopped(space.source, at, chain, 0, space.amplitude, side * modes)
-        _invert(space.inverse, matrix, modes, space.work)
+        invert_symmetric(space.inverse, matrix, modes, space.work)
 
 
 @compiled
 def _substitute_back(
     chain: _Chain,
-    space: _Space,
+    space: _Workspace,
     size_index: IndexArray,
     first: int,
     weight: ComplexArray,
@@ -249,17 +207,16 @@ def _substitute_back(
     sites from ``end`` on only to end the others far away.
     """
     even, modes, n_terms, own = chain.even, chain.modes, chain.rows.shape[1], chain.own
-    lines, (begin, end, ahead) = len(size_index), part
+    begin, end, ahead = part
     here, amplitude, light, work = space.here, space.amplitude, space.light, space.work
-    slope = 2 * modes * modes
-    behind = slope + modes
+    behind = 2 * modes * modes + modes
     amplitude[:] = 0.0
     for m in range(ahead - 1, begin - 1, -1):
         place = m % space.kept
         for side in range(space.sides):
             copy(work, behind, 1, space.source, (side * space.kept + place) * modes, modes)
             _add_hopped(work, behind, chain, modes, amplitude, side * modes)
-            _multiply(space.inverse, place * modes * modes, work, behind, amplitude, side * modes, modes)
+            multiply_symmetric(space.inverse, place * modes * modes, work, behind, amplitude, side * modes, modes)
         if m >= end:
             continue
         _load_terms(size_index, first, m, chain.terms, n_terms * (2 * space.sides - 1), space.at_site)
@@ -267,19 +224,39 @@ def _substitute_back(
         subtract_dot(light, m + 1, here, own, amplitude, 0, even)
         subtract_dot(light, m + 2, here, own + even, amplitude, 0, modes)
         subtract_dot(light, m, here, own + even + modes, amplitude, 0, modes)
-        for axis in range(2 * (space.sides - 1)):
-            term = (1 + axis) * n_terms
-            sum_terms(here, own - even, chain.rows, own - even, space.at_site, term, 2 * (even + modes))
-            _place_matrix(work, 0, chain, space.at_site, term)
-            _multiply(work, 0, amplitude, 0, work, behind, modes)
-            _zero(work, slope, 1)
-            subtract_dot(work, slope, work, behind, amplitude, modes, modes)
-            subtract_dot(work, slope, here, own - even, amplitude, modes, even)
-            _collect(work, behind, chain, space, m)
-            subtract_dot(work, slope, work, behind, amplitude, 0, modes)
-            for lane in range(min(LANES, lines - first)):
-                at, fixed = slope * ELEMENT + lane, uniform[size_index[first + lane, m], 1 + axis]
-                slopes[first + lane, m, axis] = -complex(work[at], work[at + LANES]) - weight[first + lane, m] * fixed
+        if space.sides == 2:
+            _fill_slopes(chain, space, size_index, first, m, weight, uniform, slopes)
+
+
+@compiled
+def _fill_slopes(
+    chain: _Chain,
+    space: _Workspace,
+    size_index: IndexArray,
+    first: int,
+    m: int,
+    weight: ComplexArray,
+    uniform: ComplexArray,
+    slopes: ComplexArray,
+) -> None:
+    """Fill the derivatives by both sizes of site ``m``, whose terms and amplitudes, adjoint ones too, are in place."""
+    even, modes, n_terms, own = chain.even, chain.modes, chain.rows.shape[1], chain.own
+    here, amplitude, work = space.here, space.amplitude, space.work
+    slope = 2 * modes * modes
+    behind = slope + modes
+    for axis in range(2):
+        term = (1 + axis) * n_terms
+        sum_terms(here, own - even, chain.rows, own - even, space.at_site, term, 2 * (even + modes))
+        _place_site_matrix(work, 0, chain, space.at_site, term)
+        multiply_symmetric(work, 0, amplitude, 0, work, behind, modes)
+        clear(work, slope, 1)
+        subtract_dot(work, slope, work, behind, amplitude, modes, modes)
+        subtract_dot(work, slope, here, own - even, amplitude, modes, even)
+        _place_adjoint_source(work, behind, chain, space, m)
+        subtract_dot(work, slope, work, behind, amplitude, 0, modes)
+        for lane in range(min(LANES, len(size_index) - first)):
+            at, fixed = slope * ELEMENT + lane, uniform[size_index[first + lane, m], 1 + axis]
+            slopes[first + lane, m, axis] = -complex(work[at], work[at + LANES]) - weight[first + lane, m] * fixed
 
 
 @compiled
@@ -315,49 +292,37 @@ def _load_weights(weight: ComplexArray, first: int, m: int, weights: FloatArray)
 
 
 @compiled
-def _zero(values: FloatArray, first: int, count: int) -> None:
-    for k in range(first * ELEMENT, (first + count) * ELEMENT):
-        values[k] = 0.0
-
-
-@compiled
-def _add(into: FloatArray, first: int, values: FloatArray, begin: int, count: int) -> None:
-    for k in range(count * ELEMENT):
-        into[first * ELEMENT + k] += values[begin * ELEMENT + k]
-
-
-@compiled
 def _add_hopped(into: FloatArray, at: int, chain: _Chain, of: int, values: FloatArray, begin: int) -> None:
     """Add W (``of`` 0) or W^T (``of`` modes) times ``values`` to the modes of a site."""
     even = chain.even
-    _add(into, at, values, begin, chain.modes)
+    add(into, at, values, begin, chain.modes)
     subtract_products(into, at, chain.hop, of, values, begin + even, chain.pairs)
     subtract_products(into, at + even, chain.hop, of + even, values, begin, chain.pairs)
 
 
 @compiled
-def _collect(into: FloatArray, at: int, chain: _Chain, space: _Space, m: int) -> None:
+def _place_adjoint_source(into: FloatArray, at: int, chain: _Chain, space: _Workspace, m: int) -> None:
     """Light that each mode of site ``m`` adds to the weighted sum, from e, g and Pi g in ``space.here``."""
     even, modes, own = chain.even, chain.modes, chain.own
-    _zero(into, at, modes)
+    clear(into, at, modes)
     subtract_multiple(into, at, space.weight, m + 1, space.here, own, even)
     subtract_multiple(into, at, space.weight, m + 2, space.here, own + even, modes)
     subtract_multiple(into, at, space.weight, m, space.here, own + even + modes, modes)
 
 
 @compiled
-def _place_matrix(matrix: FloatArray, at: int, chain: _Chain, terms: FloatArray, term: int) -> None:
+def _place_site_matrix(matrix: FloatArray, at: int, chain: _Chain, terms: FloatArray, term: int) -> None:
     """Upper triangle of H, or of its derivative: a block of even and one of odd modes."""
     modes, row = chain.modes, 0
     for i in range(modes):
         end = chain.even if i < chain.even else modes
         sum_terms(matrix, at + i * modes + i, chain.rows, row, terms, term, end - i)
-        _zero(matrix, at + i * modes + end, modes - end)
+        clear(matrix, at + i * modes + end, modes - end)
         row += end - i
 
 
 @compiled
-def _add_previous(inverse: FloatArray, at: int, before: int, chain: _Chain) -> None:
+def _add_eliminated(inverse: FloatArray, at: int, before: int, chain: _Chain) -> None:
     """Add -W D^-1 W^T of the site before to the upper triangle of a site's matrix, by pairs of modes."""
     even, modes = chain.even, chain.modes
     odd = modes - even
@@ -371,63 +336,3 @@ def _add_previous(inverse: FloatArray, at: int, before: int, chain: _Chain) -> N
                 (even + i) * modes + even + j if j < odd else beyond,
             )
             add_turned(inverse, at, inverse, before, places, chain.hop, 2 * modes + i, 2 * modes + j)
-
-
-@compiled
-def _invert(matrix: FloatArray, at: int, modes: int, work: FloatArray) -> None:
-    """Replace the upper triangle of a symmetric matrix by that of its inverse times -1.
-
-    Symmetric sweeps without pivots, two rows at a time, which halves the reads and writes. On 6144 random sites of each
-    of four trained chains the least diagonal element of sweeps by single rows was 7e-5 of the largest element, and
-    answers were those of an elimination with pivots to 3e-11.
-    """
-    for k in range(0, modes, 2):
-        rows = min(2, modes - k)
-        # The rows of the pivots, and below them their products with the pivots' inverse.
-        _zero(work, 0, 4 * modes)
-        for row in range(rows):
-            for i in range(k):
-                copy(work, row * modes + i, 1, matrix, at + i * modes + k + row, 1)
-            copy(work, row * modes + k + rows, 1, matrix, at + (k + row) * modes + k + rows, modes - k - rows)
-        pivots = at + k * modes + k
-        _invert_pivots(matrix, pivots, modes, rows)
-        for row in range(rows):
-            step = modes if row else rows - 1
-            subtract_multiples(work, (2 + row) * modes, matrix, pivots + row, step, work, 0, modes, modes)
-        for i in range(modes):
-            if i < k or i >= k + rows:
-                subtract_multiples(matrix, at + i * modes + i, work, i, modes, work, 2 * modes + i, modes, modes - i)
-        for row in range(rows):
-            copy(matrix, at + k + row, modes, work, (2 + row) * modes, k)
-            end = (2 + row) * modes + k + rows
-            copy(matrix, at + (k + row) * modes + k + rows, 1, work, end, modes - k - rows)
-
-
-@compiled
-def _invert_pivots(matrix: FloatArray, first: int, modes: int, rows: int) -> None:
-    """Replace one diagonal element, or the upper triangle of two rows, by that of the inverse times -1."""
-    for lane in range(first * ELEMENT, first * ELEMENT + LANES):
-        a = complex(matrix[lane], matrix[lane + LANES])
-        b, d, minor = 0.0j, 1.0 + 0.0j, lane + (modes + 1) * ELEMENT
-        if rows == 2:
-            b = complex(matrix[lane + ELEMENT], matrix[lane + ELEMENT + LANES])
-            d = complex(matrix[minor], matrix[minor + LANES])
-        determinant = a * d - b * b
-        inverse = determinant.conjugate() / (determinant.real**2 + determinant.imag**2)
-        a, b, d = -d * inverse, b * inverse, -a * inverse
-        matrix[lane], matrix[lane + LANES] = a.real, a.imag
-        if rows == 2:
-            matrix[lane + ELEMENT], matrix[lane + ELEMENT + LANES] = b.real, b.imag
-            matrix[minor], matrix[minor + LANES] = d.real, d.imag
-
-
-@compiled
-def _multiply(
-    matrix: FloatArray, at: int, values: FloatArray, first: int, into: FloatArray, begin: int, modes: int
-) -> None:
-    """Write a vector times a symmetric matrix, of which the upper triangle is stored, times -1."""
-    _zero(into, begin, modes)
-    for i in range(modes):
-        row = at + i * modes + i
-        subtract_dot(into, begin + i, matrix, row, values, first + i, modes - i)
-        subtract_multiple(into, begin + i + 1, values, first + i, matrix, row + 1, modes - i - 1)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from metafab.library.neighbours.fit import FitLimits, RowSet, fit
 from metafab.library.neighbours.line import LineShape, initial_model
 from metafab.library.neighbours.solve import scattered_corrections
+from metafab.library.neighbours.training.fit import FitLimits, RowSet, fit
 
 SPAN = (100.0, 250.0)
 

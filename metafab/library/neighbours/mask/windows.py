@@ -8,13 +8,9 @@ from typing import Literal
 import numpy as np
 
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
+from metafab.library.neighbours.mask.open_lines import IndexArray, open_line_corrections, open_line_slopes
+from metafab.library.neighbours.mask.size_tables import SizeTables
 from metafab.library.neighbours.model import Neighbours
-from metafab.library.neighbours.open_lines import (
-    IndexArray,
-    SizeTables,
-    open_line_corrections,
-    open_line_slopes,
-)
 
 #: Neighbours that a window needs on each side. The coupling falls to 1/e within about five sites; measured on a
 #: lens, with 24 the corrections of the sites at a window's end are off by 4.5e-3 (light along) and 2.1e-3 of the field,
