@@ -46,6 +46,11 @@ _UNFIT = 2.6
 #: That misfit where one depth for each segment has this many times as much: segments are stripes of a steep surface. A
 #: steep ground has 2.5, and 1.8 times as much; scenes of flat objects whose factor is above 1.5 have at most 2.0.
 _UNFIT_STRIPES, _STRIPES = 2.2, 1.5
+#: That factor from which they are stripes of one, whatever slopes leave, and number of segments above which these may
+#: be pieces of curved surfaces: in little light each piece fits. Planes that rise by 20 to 27 % over a small field have
+#: 2.3 to 4 times as much, rooms at 300 and 500 electrons 31 and 46 segments; scenes of flat objects have at most 1.9
+#: times as much, or else too many stripes of a staircase, and at most 13 segments.
+_STEEP_STRIPES, _MANY_SEGMENTS = 2.0, 16
 #: Share of segments' pixels within their interiors below which surfaces are sought, too: near outlines depths mix, and
 #: layers that are mostly outlines explain nothing. Scenes of flat objects have 0.59 to 1, a corner of steep walls 0.31,
 #: three photographs on many steps of depth 0.21 to 0.26.
@@ -111,9 +116,9 @@ def first_segments(
     layers become planes, and pixels are assigned to them once more. Where noise tells more layers apart, those replace
     them if the pixels' depths fit clearly better: a staircase lies within the cells' errors of a plane. Segments whose
     pixels lie on a quadric of vergence become one, if there are no more of them and they explain the twins better.
-    Where the pixels' depths fit none of these, most pixels lie near outlines, or the twins in interiors hold light of
-    other depths, pixels have the depth of a continuous surface, and segments are pieces of planes across it, if that
-    explains the twins better. Where these planes are hardly anywhere off the surface, pixels keep the planes' depths.
+    Where the pixels' depths fit none of these, segments look like stripes or pieces of one surface, most pixels lie
+    near outlines, or the twins in interiors hold light of other depths, pixels have the depth of a continuous surface,
+    and segments are pieces of planes across it, if that explains the twins better. Where these planes are hardly anywhere off the surface, pixels keep the planes' depths.
     """
     segmentation = Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
     if any(plane.tilted for plane in known):
@@ -138,7 +143,8 @@ def first_segments(
     layered = _has_layers(regions, prepared, volume, inside, clean)
     if layered:
         moved, tilted = (plane_misfit(regions, pixels, inside, free) for free in (_MOVED, _TILTED))
-        if tilted < (_UNFIT_STRIPES if moved > _STRIPES * tilted else _UNFIT):
+        pieces = moved > _STEEP_STRIPES * tilted or len(regions.depths) > _MANY_SEGMENTS
+        if not pieces and tilted < (_UNFIT_STRIPES if moved > _STRIPES * tilted else _UNFIT):
             return regions
     found = segmentation.of_surfaces(None if layered else regions)
     if found is None:
