@@ -43,14 +43,13 @@ _CLEARLY_BETTER = 0.93
 #: Misfit of pixels' depths to planes fitted to their segments from which segments are sought on continuous surfaces:
 #: scenes of flat objects and photographs on them have 1.0 to 2.4, the Middlebury motorcycle 6.
 _UNFIT = 2.6
-#: That misfit where one depth for each segment has this many times as much: segments are stripes of a steep surface. A
-#: steep ground has 2.5, and 1.8 times as much; scenes of flat objects whose factor is above 1.5 have at most 2.0.
-_UNFIT_STRIPES, _STRIPES = 2.2, 1.5
-#: That factor from which they are stripes of one, whatever slopes leave, and number of segments above which these may
-#: be pieces of curved surfaces: in little light each piece fits. Planes that rise by 20 to 27 % over a small field have
-#: 2.3 to 4 times as much, rooms at 300 and 500 electrons 31 and 46 segments; scenes of flat objects have at most 1.9
-#: times as much, or else too many stripes of a staircase, and at most 13 segments.
-_STEEP_STRIPES, _MANY_SEGMENTS = 2.0, 16
+#: Misfit to one depth for each segment, and its ratio to that to planes, from which segments are stripes of a steep
+#: surface; number of segments from which they are pieces of a curved one: in little light each piece fits. Planes that
+#: rise by 15 to 27 % across a small field have misfits of 2.3 to 8 and ratios of 1.6 to 4, rooms at 300 and 500
+#: electrons 31 and 46 segments. Scenes of flat objects have ratios of at most 1.5 or smaller misfits, but 3.4 and 1.9
+#: before a wall at twice the distance, 4.4 and 3.4 in a staircase, which the surface does not explain better; and at
+#: most 13 segments.
+_STRIPES, _STRIPES_RATIO, _PIECES = 2.0, 1.5, 16
 #: Share of segments' pixels within their interiors below which surfaces are sought, too: near outlines depths mix, and
 #: layers that are mostly outlines explain nothing. Scenes of flat objects have 0.59 to 1, a corner of steep walls 0.31,
 #: three photographs on many steps of depth 0.21 to 0.26.
@@ -143,8 +142,8 @@ def first_segments(
     layered = _has_layers(regions, prepared, volume, inside, clean)
     if layered:
         moved, tilted = (plane_misfit(regions, pixels, inside, free) for free in (_MOVED, _TILTED))
-        pieces = moved > _STEEP_STRIPES * tilted or len(regions.depths) > _MANY_SEGMENTS
-        if not pieces and tilted < (_UNFIT_STRIPES if moved > _STRIPES * tilted else _UNFIT):
+        of_one = moved > max(_STRIPES, _STRIPES_RATIO * tilted) or len(regions.depths) > _PIECES
+        if tilted < _UNFIT and not of_one:
             return regions
     found = segmentation.of_surfaces(None if layered else regions)
     if found is None:

@@ -33,14 +33,14 @@ def texture(rng: np.random.Generator) -> FloatArray:
     return np.asarray(light / light.std())
 
 
-def photographed(light: FloatArray, depth_m: FloatArray, psf: Psf) -> RawFrame:
-    """Frame of a picture and its depth, shape ``SHAPE`` each, at 3000 electrons a pixel."""
+def photographed(light: FloatArray, depth_m: FloatArray, psf: Psf, electrons: float = 3000.0) -> RawFrame:
+    """Frame of a picture and its depth, arrays of one shape, at so many electrons a pixel."""
     with TemporaryDirectory() as name:
         files = Path(name) / "light.npy", Path(name) / "depth.npy"
         for file, values in zip(files, (light, depth_m), strict=True):
             np.save(file, values)
         picture = Rgbd(image_file=files[0], depth_file=files[1])
-        return capture(Scene(rgbd=picture, field_px=SHAPE, photons_per_pixel=3000.0), psf)
+        return capture(Scene(rgbd=picture, field_px=light.shape, photons_per_pixel=electrons), psf)
 
 
 def judged(frame: RawFrame, psf: Psf) -> tuple[FloatArray, NDArray[np.bool_]]:
