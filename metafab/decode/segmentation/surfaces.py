@@ -117,7 +117,8 @@ def first_segments(
     pixels lie on a quadric of vergence become one, if there are no more of them and they explain the twins better.
     Where the pixels' depths fit none of these, segments look like stripes or pieces of one surface, most pixels lie
     near outlines, or the twins in interiors hold light of other depths, pixels have the depth of a continuous surface,
-    and segments are pieces of planes across it, if that explains the twins better. Where these planes are hardly anywhere off the surface, pixels keep the planes' depths.
+    and segments are pieces of planes across it, if that explains the twins better. Where these planes are hardly
+    anywhere off the surface, pixels keep the planes' depths.
     """
     segmentation = Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
     if any(plane.tilted for plane in known):
