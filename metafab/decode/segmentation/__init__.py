@@ -2,6 +2,7 @@
 
 - ``prepared_frame``  PreparedFrame: registered twins, their spectra, masks of light and texture
 - ``planes``          tilted planes through cells of a segment: least median of squares, RANSAC
+- ``slopes``          tilted planes measured along themselves, which corrects their slopes
 - ``outlines``        refinement of outlines by threshold dynamics
 - ``layer_light``     light of layers in tiles: its blur on the downsampled pixels
 - ``tile_shares``     a round of expectation and maximisation: light and shares of the layers in some tiles

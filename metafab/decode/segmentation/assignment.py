@@ -30,6 +30,7 @@ from metafab.decode.segmentation.segments import (
     segment_depth,
     with_error_of_straight,
 )
+from metafab.decode.segmentation.slopes import along_planes
 
 #: Side of a cell of continuous surfaces, frame pixels.
 _SURFACE_CELL_PX = 18
@@ -55,6 +56,7 @@ class Segmentation:
     pixels: PixelDepth  #: Depth of each pixel.
     separation_per_m: float  #: Vergence by which layers differ.
     outline_rounds: int  #: Most rounds of the refinement of outlines.
+    refined: bool = True  #: Whether slopes are measured along their planes.
 
     @property
     def layers(self) -> list[Plane]:
@@ -135,6 +137,8 @@ class Segmentation:
         # Depth and contrast are measured without the fragments that are merged into a segment.
         inner = np.where(stays, renumbered, 0)[inner].astype(np.int32)
         merged = renumbered[target]
+        if self.refined:
+            kept = along_planes(kept, inner, volume, step)
         return Regions(len(layers), kept, merged[label], inner, merged[wide])
 
     def _textured(self, segments: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:

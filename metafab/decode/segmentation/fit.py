@@ -378,7 +378,7 @@ def plane_misfit(regions: Regions, pixels: PixelDepth, inside: NDArray[np.bool_]
     for one in np.unique(number[number > 0]).tolist():
         mask = number == one
         row, column = (axis[mask].astype(np.float64) for axis in place)
-        away[mask] -= _robust_fit(_monomials(row, column)[0][:, :free] / error[mask][:, None], away[mask])[0]
+        away[mask] -= robust_fit(_monomials(row, column)[0][:, :free] / error[mask][:, None], away[mask])[0]
     return mean_square(away)
 
 
@@ -401,7 +401,7 @@ def curved_surface(regions: Regions, pixels: PixelDepth, numbers: Sequence[int])
     error, middle = pixels.relative_error[fitted] * vergence, float(np.median(vergence))
     monomials, centre, half = _monomials(*(axis.astype(np.float64) for axis in np.nonzero(fitted)))
     away = (vergence - middle) / error
-    on_quadric, quadric = _robust_fit(monomials / error[:, None], away)
+    on_quadric, quadric = robust_fit(monomials / error[:, None], away)
     bend = float(np.ptp(monomials[:, 3:] @ quadric[3:]))
     share = _CURVED_SHARE if len(numbers) == 1 else _RINGS_SHARE
     if mean_square(away - on_quadric) > share * of_planes or bend < _SMALLEST_RISE * middle:
@@ -423,7 +423,7 @@ def _monomials(row: FloatArray, column: FloatArray) -> tuple[FloatArray, tuple[f
     return np.stack([np.ones_like(y), y, x, y * y, y * x, x * x], axis=1), middle, half
 
 
-def _robust_fit(design: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def robust_fit(design: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Robust least squares of values in standard errors, most of them small, by a design of shape (n, n_free).
 
     Returns:

@@ -33,6 +33,7 @@ from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.segments import Regions, SegmentDepth, interior, textured_components
+from metafab.decode.segmentation.slopes import along_planes
 from metafab.decode.segmentation.surfaces import first_segments
 
 #: Misfit from which a pixel is left out of its segment's depth: 12 samples of noise reach it in one of 10^3 windows.
@@ -204,7 +205,7 @@ def clear_of_moved_outlines(regions: Regions, before: Regions, volume: CostVolum
             inside[own & ~clear] = 0
             cells = Cells.of(volume, clear, step)
             depths[number - 1] = measured_again(volume, cells, depths[number - 1], depths[number - 1].pixels, step)
-    return replace(regions, depths=tuple(depths), interior=inside)
+    return replace(regions, depths=along_planes(depths, inside, volume, step), interior=inside)
 
 
 def with_small_objects(regions: Regions, found: Sequence[SmallObject], volume: CostVolume) -> Regions:
@@ -252,7 +253,8 @@ def without_outliers(
     depths = list(regions.depths)
     for index, cells in zip(again.tolist(), Cells.of_each(volume, number[kept], again.size, step), strict=True):
         depths[index] = measured_again(volume, cells, depths[index], depths[index].pixels, step)
-    return replace(regions, depths=tuple(depths))
+    measured = np.where(number[kept] > 0, kept, 0).astype(np.int32)
+    return replace(regions, depths=along_planes(depths, measured, volume, step))
 
 
 def without_bright_light(prepared: PreparedFrame, filters: CrossFilters, regions: Regions) -> Regions:

@@ -44,12 +44,13 @@ _CLEARLY_BETTER = 0.93
 #: scenes of flat objects and photographs on them have 1.0 to 2.4, the Middlebury motorcycle 6.
 _UNFIT = 2.6
 #: Misfit to one depth for each segment, and its ratio to that to planes, from which segments are stripes of a steep
-#: surface; number of segments from which they are pieces of a curved one: in little light each piece fits. Planes that
-#: rise by 15 to 27 % across a small field have misfits of 2.3 to 8 and ratios of 1.6 to 4, rooms at 300 and 500
-#: electrons 31 and 46 segments. Scenes of flat objects have ratios of at most 1.5 or smaller misfits, but 3.4 and 1.9
-#: before a wall at twice the distance, 4.4 and 3.4 in a staircase, which the surface does not explain better; and at
-#: most 13 segments.
-_STRIPES, _STRIPES_RATIO, _PIECES = 2.0, 1.5, 16
+#: surface. Planes that rise by 15 to 27 % across a small field have misfits of 2.3 to 8 and ratios of 1.6 to 4. Scenes
+#: of flat objects have ratios of at most 1.5 or smaller misfits, but 3.4 and 1.9 before a wall at twice the distance,
+#: and 4.4 and 3.4 in a staircase, which the surface does not explain better.
+_STRIPES, _STRIPES_RATIO = 2.0, 1.5
+#: Number of segments, and of tilted ones, from which they may be pieces of one surface: in little light each piece
+#: fits. Rooms at 300 and 500 electrons have 31 and 46, scenes of flat objects at most 13; a steep card has 11 tilted.
+_PIECES, _TILTED_PIECES = 16, 3
 #: Share of segments' pixels within their interiors below which surfaces are sought, too: near outlines depths mix, and
 #: layers that are mostly outlines explain nothing. Scenes of flat objects have 0.59 to 1, a corner of steep walls 0.31,
 #: three photographs on many steps of depth 0.21 to 0.26.
@@ -120,7 +121,7 @@ def first_segments(
     and segments are pieces of planes across it, if that explains the twins better. Where these planes are hardly
     anywhere off the surface, pixels keep the planes' depths.
     """
-    segmentation = Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds)
+    segmentation = Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds, refined)
     if any(plane.tilted for plane in known):
         return segmentation.of_planes(list(known))
     coarse = segmentation.layers
@@ -143,7 +144,8 @@ def first_segments(
     layered = _has_layers(regions, prepared, volume, inside, clean)
     if layered:
         moved, tilted = (plane_misfit(regions, pixels, inside, free) for free in (_MOVED, _TILTED))
-        of_one = moved > max(_STRIPES, _STRIPES_RATIO * tilted) or len(regions.depths) > _PIECES
+        many = len(regions.depths) > _PIECES or sum(one.plane.tilted for one in regions.depths) > _TILTED_PIECES
+        of_one = many or moved > max(_STRIPES, _STRIPES_RATIO * tilted)
         if tilted < _UNFIT and not of_one:
             return regions
     found = segmentation.of_surfaces(None if layered else regions)
