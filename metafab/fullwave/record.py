@@ -21,7 +21,8 @@ def kept_blocks(
     """Open the record of solved blocks, a file in the folder of ``beside``.
 
     The file stays only if the code of the ``with`` block fails, or is interrupted, after a block is solved; ``say`` is
-    then called with its path. In a folder that cannot be written, solved blocks are kept in memory only.
+    then called with its path. Beside a pipe, as a shell makes it, and in a folder that cannot be written, solved blocks
+    are kept in memory only.
 
     Args:
         beside: the answer's file, or the file of the blocks.
@@ -29,7 +30,8 @@ def kept_blocks(
     """
     place = beside.resolve()
     path = place.with_name(f"{place.stem}.{inputs_sha256[:8]}.partial")
-    is_kept = os.access(path.parent, os.W_OK)
+    # A pipe has no folder: `/dev/stdin` resolves to a name that does not exist.
+    is_kept = (beside.is_file() or not beside.exists()) and os.access(path.parent, os.W_OK)
     with Checkpoint(path if is_kept else None, inputs_sha256) as record:
         try:
             yield record

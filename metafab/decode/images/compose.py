@@ -258,7 +258,7 @@ def _mismatch_figures(volume: CostVolume, prepared: PreparedFrame, regions: Regi
     best = np.argsort(mismatches)
     judged = best[np.searchsorted(np.cumsum(twins.pixels[best]), _JUDGED_SHARE * twins.pixels.sum())]
     mismatch = max(0.0, float(mismatches[judged]))
-    if not twins.is_doubted(best[judged == best]) or not _pieces_are_doubted(volume, prepared, regions):
+    if not twins.is_doubted(np.array([judged])) or not _pieces_are_doubted(volume, prepared, regions):
         return DecodingFigures(twin_mismatch=mismatch)
     warning = f"the twins differ by {100.0 * mismatch:.0f} % of their power: is this the camera's calibration?"
     return DecodingFigures(twin_mismatch=mismatch, warning=warning)

@@ -19,7 +19,7 @@ import numpy as np
 from metafab.cell import pillar_cell
 from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray
-from metafab.core.errors import InputError
+from metafab.core.errors import InputError, SolverError
 from metafab.library.neighbours.blocks.cross import CrossLight
 from metafab.library.neighbours.blocks.joint import has_joint_effect, joint_effect
 from metafab.library.neighbours.blocks.lattice import SolvedLines
@@ -78,18 +78,21 @@ def solve_supercell(library: Library, supercell: Supercell) -> SupercellOrders:
 def joint_share(library: Library, size_nm: FloatArray) -> FloatArray | None:
     """Joint effect of the rows and columns of a small block, cross-polarised light included, over its field.
 
-    Shape (2,), for x and y polarised light; None where it is not solved. ``size_nm`` is (width, length), shape
-    (n_y, n_x, 2). InputError as :func:`solve_supercell`.
+    Shape (2,), for x and y polarised light; None where it is not solved, or cannot be. ``size_nm`` is (width, length),
+    shape (n_y, n_x, 2). InputError as :func:`solve_supercell`.
     """
     if any(not np.ptp(size_nm, axis=axis).any() for axis in (0, 1)):
         return np.zeros(len(POLARISATIONS))
     neighbours, supercell = require_neighbours(library), Supercell(pillar_cell(library.unit_cell, 0.0, 0.0), size_nm)
-    if not has_joint_effect(supercell):
+    if not has_joint_effect(supercell) or not library.is_continuous:
         return None
     _require_known_sizes(library, size_nm)
     known = library.surface(size_nm[..., 0], size_nm[..., 1])
     local = np.stack([known.t_xx, known.t_yy])
-    joint = joint_effect(supercell, local)
+    try:
+        joint = joint_effect(supercell, local)
+    except SolverError:
+        return None
     lights = _solve_lines(neighbours.uncoupled, supercell, supercell.propagating_orders("x"), local, joint)
     shares = [np.linalg.norm(joint[:, :, k]) / np.linalg.norm(light.amplitude) for k, light in enumerate(lights)]
     return np.array(shares)

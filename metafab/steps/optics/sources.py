@@ -142,7 +142,8 @@ def joint_error(job: Job, light: WrittenField | NeighbourField | None) -> float 
     if not isinstance(light, NeighbourField):
         return None
     library, windows = open_library(job), filled_windows(light.pillars, _JOINT_WINDOWS, _JOINT_SITES)
-    _ = library.surface  # made once here, not by each worker
+    if library.is_continuous:
+        _ = library.surface  # made once here, not by each worker
     shares: list[float] = []
     with job.work.processes() as executor:
         for found in in_order(executor, partial(joint_share, library), windows):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
@@ -21,6 +22,7 @@ from metafab.fullwave import blocks
 from metafab.fullwave.blocks import BlockNumerics, Solver, read_blocks, solve_blocks
 from metafab.fullwave.record import kept_blocks
 from metafab.library import Library
+from metafab.library.sweep.checkpoint import SolvedPoint
 from tests.fake_meep import UncoupledPillars, response
 
 ROW = {"width_nm": [[120.0, 150.0, 180.0]], "length_nm": [[180.0, 150.0, 130.0]]}
@@ -254,6 +256,16 @@ def test_nothing_stays_where_no_block_was_solved_or_the_folder_is_closed(
             raise KeyboardInterrupt
     assert not list(tmp_path.iterdir())
     assert not said
+
+
+def test_nothing_is_kept_beside_a_pipe() -> None:
+    """Such as `/dev/stdin` and `/dev/stdout`, which resolve to names that no folder holds."""
+    inner, outer = os.pipe()
+    for end in (inner, outer):
+        with kept_blocks(Path(f"/dev/fd/{end}"), "cd" * 32) as record:
+            record.add([SolvedPoint(1, (1.0j,), 0.0, 0.0)])
+        assert len(record.points) == 1
+        os.close(end)
 
 
 def test_solver_accuracy_and_library_make_another_record(smooth_library: Library, tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def test_a_library_does_not_hang_on_what_comes_after_it(of_a_library: set[str]) 
     others = {
         "spec/design.py",
         "spec/mask/files.py",
-        "spec/scene.py",
+        "spec/scene/scene.py",
         "library/use/check.py",
         "core/storage/pictures.py",
     }

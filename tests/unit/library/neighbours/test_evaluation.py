@@ -10,6 +10,7 @@ import pytest
 from metafab.cell import pillar_cell
 from metafab.cell.supercell import Supercell
 from metafab.core.conventions import POLARISATIONS
+from metafab.core.errors import SolverError
 from metafab.core.figures import LineStatistics
 from metafab.library.library import Library
 from metafab.library.neighbours.blocks.cross import free_elements
@@ -51,6 +52,13 @@ def test_a_small_block_is_its_lines_and_their_joint_effect(
     with_bare = replace(smooth_library, neighbours=bare)
     assert joint_share(with_bare, np.repeat(block.size_nm[:1], 3, axis=0)) == pytest.approx([0.0, 0.0])
     assert joint_share(with_bare, rng.uniform(*SPAN, (12, 12, 2))) is None
+
+    def fails(*_: object) -> None:
+        raise SolverError("singular")
+
+    # The line of a budget is no reason to lose the PSFs.
+    monkeypatch.setattr("metafab.library.neighbours.evaluation.joint_effect", fails)
+    assert joint_share(with_bare, block.size_nm) is None
 
 
 def test_coupled_lines_that_send_out_more_light_than_arrives_are_solved_uncoupled(
