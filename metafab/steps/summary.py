@@ -180,7 +180,7 @@ def _neighbour_lines(summary: RunSummary) -> list[BudgetLine]:
                 "the PSFs leave it out, and it is not solved for these pillars"
                 if psf.joint_error is None
                 else "left out of the PSFs: what coarse elements add to the field in up to eight windows of 3 x 3 "
-                "pillars of the mask, continued periodically, cross-polarised light included; few windows hold most of it",
+                "pillars of the mask, continued periodically, cross-polarised light included; few hold most of it",
             ),
         ]
     return [
