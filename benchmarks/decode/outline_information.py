@@ -29,7 +29,7 @@ from benchmarks.decode.scene_judge import Decoded
 from benchmarks.decode.scene_stacks import Stacks
 from metafab.core.conventions import FloatArray
 from metafab.decode import Decoder
-from metafab.decode.segmentation.layer_light import LayerOptics, at_depth, texture_amplitude
+from metafab.decode.segmentation.layered.layer_light import LayerOptics, at_depth, texture_amplitude
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Scenes by default, lengths of the stretches and displacements, pixels.

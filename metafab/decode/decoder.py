@@ -31,7 +31,7 @@ from metafab.decode.matching.levels import Levels
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import repeated
 from metafab.decode.registration.twins import TwinGrid
-from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.layered.layer_light import LayerOptics
 from metafab.decode.segmentation.objects.plain_parts import plain_parts_judged
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.prepared_frame import PreparedFrame

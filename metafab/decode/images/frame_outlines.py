@@ -19,8 +19,8 @@ from scipy.ndimage import gaussian_filter
 from metafab.core.numeric.distance import distance
 from metafab.decode.images.pixel_outlines import DEVIATION
 from metafab.decode.segmentation.fit import across_outlines
-from metafab.decode.segmentation.frame_model import FrameModel
-from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.layered.frame_model import FrameModel
+from metafab.decode.segmentation.layered.layer_light import LayerOptics
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.segments import Regions
 

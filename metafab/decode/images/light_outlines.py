@@ -19,8 +19,8 @@ from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.matching.levels import log_light
 from metafab.decode.matching.pooling import window_maxima
 from metafab.decode.segmentation.fit import across_outlines, connected_moves
-from metafab.decode.segmentation.frame_model import FrameModel
-from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.layered.frame_model import FrameModel
+from metafab.decode.segmentation.layered.layer_light import LayerOptics
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.segments import Regions
 

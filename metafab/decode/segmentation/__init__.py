@@ -4,10 +4,7 @@
 - ``planes``          tilted planes through cells of a segment: least median of squares, RANSAC
 - ``slopes``          tilted planes measured along themselves, which corrects their slopes
 - ``outlines``        refinement of outlines by threshold dynamics
-- ``layer_light``     light of layers in tiles: its blur on the downsampled pixels
-- ``tile_shares``     a round of expectation and maximisation: light and shares of the layers in some tiles
-- ``layer_tiles``     the layers of a frame in tiles: where each may hold the light, what hides what, noise
-- ``frame_model``     FrameModel: outlines from a model of the frame with occlusion
+- ``layered``         model of the frame with occlusion: outlines that explain it
 - ``fit``             null energy of the twins by place: whether a segment explains its pixels
 - ``continuous``      continuous surfaces: a depth for each pixel, and its doubt
 - ``objects``         objects that the segments of textured pixels miss: small ones, plain ones; plain parts

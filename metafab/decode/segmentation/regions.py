@@ -24,8 +24,8 @@ from metafab.decode.segmentation.fit import (
     foreign_light,
     misfit_at,
 )
-from metafab.decode.segmentation.frame_model import FrameModel
-from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.layered.frame_model import FrameModel
+from metafab.decode.segmentation.layered.layer_light import LayerOptics
 from metafab.decode.segmentation.objects.bars import with_bars
 from metafab.decode.segmentation.objects.plain_objects import with_plain_objects
 from metafab.decode.segmentation.objects.small_objects import SmallObject, small_objects

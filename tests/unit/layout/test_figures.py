@@ -73,5 +73,6 @@ def test_an_empty_block_adds_nothing(table: SizeTable) -> None:
     assert not sums.power.any()
     assert not sums.square_error.any()
     whole = TileSums.of(*_block(table, 5, (4, 6)), table, np.inf)
-    sample = replace(sums, among=np.zeros((2, 2), dtype=complex), among_square_error=np.zeros(2))
+    none = np.zeros((2, 2))
+    sample = replace(sums, among=none.astype(complex), among_power=none, among_square_error=np.zeros(2))
     assert whole.with_light_of(sample) is whole

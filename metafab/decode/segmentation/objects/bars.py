@@ -25,7 +25,7 @@ from metafab.decode.confidence import LARGEST_ERROR
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import spline_peaks
 from metafab.decode.segmentation.fit import Misfit, away_from_outlines, is_wide, misfit_at
-from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.layered.layer_light import LayerOptics
 from metafab.decode.segmentation.objects.null_channel import BOTH_HALVES, WINDOW, NullChannel
 from metafab.decode.segmentation.planes import Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame

@@ -27,7 +27,7 @@ from metafab.core.numeric.compiled import compiled
 from metafab.decode.matching.filter_basis import frequencies
 from metafab.decode.matching.levels import LOWEST_FREQUENCY
 from metafab.decode.matching.pooling import window_means
-from metafab.decode.segmentation.layer_light import LayerOptics, at_depth
+from metafab.decode.segmentation.layered.layer_light import LayerOptics, at_depth
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Side of the square about a pixel in which a null channel is computed, downsampled pixels.

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import default_workers, kept_threads
 from metafab.decode.matching.filter_basis import frequencies
-from metafab.decode.segmentation.layer_light import LayerOptics, at_depth, texture_amplitude
+from metafab.decode.segmentation.layered.layer_light import LayerOptics, at_depth, texture_amplitude
 from metafab.decode.segmentation.objects.null_channel import Rectangle, ellipse_light
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 

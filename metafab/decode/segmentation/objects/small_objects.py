@@ -23,7 +23,7 @@ from scipy.ndimage import label as connected_components
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR
-from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.layered.layer_light import LayerOptics
 from metafab.decode.segmentation.objects.null_channel import WINDOW, NullChannel, Rectangle, ShapeEvidence
 from metafab.decode.segmentation.objects.object_fit import FittedObject, ObjectStart, fitted_objects
 from metafab.decode.segmentation.prepared_frame import PreparedFrame

@@ -13,8 +13,8 @@ from metafab.decode.decoder import DecodedFrame, Decoder
 from metafab.decode.images import frame_outlines
 from metafab.decode.images.frame_outlines import outlines_by_frame
 from metafab.decode.images.pixel_outlines import on_pixels
-from metafab.decode.segmentation.frame_model import FrameModel
-from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.layered.frame_model import FrameModel
+from metafab.decode.segmentation.layered.layer_light import LayerOptics
 from metafab.decode.segmentation.segments import Regions
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf

@@ -12,8 +12,8 @@ from scipy.ndimage import binary_erosion
 from metafab.camera import capture
 from metafab.decode.decoder import DecodedFrame, Decoder
 from metafab.decode.images.light_outlines import outlines_at_edges
-from metafab.decode.segmentation.frame_model import FrameModel
-from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.layered.frame_model import FrameModel
+from metafab.decode.segmentation.layered.layer_light import LayerOptics
 from metafab.decode.segmentation.segments import Regions
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf

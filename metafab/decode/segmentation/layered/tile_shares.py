@@ -1,4 +1,4 @@
-"""Light and shares of the layers in some tiles of a frame: one round of :mod:`metafab.decode.segmentation.frame_model`.
+"""Light and shares of the layers in some tiles of a frame: one round of the model of the frame.
 
 The unknowns are the transforms of the whitened textures, so that filtering and preconditioning are products. Where
 layers hide each other, radiance does not change, as in the camera: the light that this adds is that of the layers
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from metafab.core.numeric.conjugate_gradients import advance, inner_products, parts, precondition, turn, twice
 from metafab.decode.matching.filter_basis import frequencies
-from metafab.decode.segmentation.layer_light import LayerLight, add_blurred
+from metafab.decode.segmentation.layered.layer_light import LayerLight, add_blurred
 
 #: Steps of conjugate gradients in a round, and for a misfit, whose differences settle more slowly.
 _STEPS, _MISFIT_STEPS = 3, 6

@@ -23,8 +23,8 @@ from scipy.ndimage import label as connected_components
 
 from metafab.core.numeric.distance import distance, nearest
 from metafab.core.parallel.executor import kept_threads
-from metafab.decode.segmentation.layer_light import LayerOptics
-from metafab.decode.segmentation.layer_tiles import FrameLayers, TileGroup
+from metafab.decode.segmentation.layered.layer_light import LayerOptics
+from metafab.decode.segmentation.layered.layer_tiles import FrameLayers, TileGroup
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.segments import Regions
 

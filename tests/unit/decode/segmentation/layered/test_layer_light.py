@@ -12,8 +12,8 @@ from metafab.camera.kernels import PairKernels
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import Downsampling
 from metafab.decode.registration.twins import TwinGrid
-from metafab.decode.segmentation.layer_light import LayerLight, LayerOptics
-from metafab.decode.segmentation.tile_shares import TileLayers
+from metafab.decode.segmentation.layered.layer_light import LayerLight, LayerOptics
+from metafab.decode.segmentation.layered.tile_shares import TileLayers
 from tests.conjugate_pair import PIXEL_UM, helix_psf
 
 SHAPE, MARGIN = (96, 120), 24

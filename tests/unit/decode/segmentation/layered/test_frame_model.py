@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
 from metafab.decode.segmentation import frame_model
-from metafab.decode.segmentation.frame_model import FrameModel
-from metafab.decode.segmentation.layer_tiles import TileGroup
+from metafab.decode.segmentation.layered.frame_model import FrameModel
+from metafab.decode.segmentation.layered.layer_tiles import TileGroup
+from metafab.decode.segmentation.layered.tile_shares import TileLayers
 from metafab.decode.segmentation.planes import Plane
 from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
-from metafab.decode.segmentation.tile_shares import TileLayers
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 

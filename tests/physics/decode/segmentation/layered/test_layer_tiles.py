@@ -11,8 +11,8 @@ import pytest
 from metafab.camera import capture
 from metafab.decode import decode
 from metafab.decode.segmentation import layer_tiles
-from metafab.decode.segmentation.frame_model import FrameModel
-from metafab.decode.segmentation.layer_tiles import FrameLayers, TileGroup
+from metafab.decode.segmentation.layered.frame_model import FrameModel
+from metafab.decode.segmentation.layered.layer_tiles import FrameLayers, TileGroup
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 

@@ -1,7 +1,7 @@
 """Layers of a frame in tiles: where each may hold the light, what hides what, the frame's noise.
 
-:mod:`metafab.decode.segmentation.frame_model` fits them. Only tiles whose cores hold outlines are computed, each by
-itself; see :mod:`metafab.decode.segmentation.tile_shares`.
+:mod:`metafab.decode.segmentation.layered.frame_model` fits them. Only tiles whose cores hold outlines are computed,
+each by itself; see :mod:`metafab.decode.segmentation.layered.tile_shares`.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance, nearest
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.registration.tiles import Tiling, Value
-from metafab.decode.segmentation.layer_light import LayerOptics
+from metafab.decode.segmentation.layered.layer_light import LayerOptics
+from metafab.decode.segmentation.layered.tile_shares import TileLayers
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.segments import Regions
-from metafab.decode.segmentation.tile_shares import TileLayers
 
 #: Distance from an outline up to which it may be wrong, frame pixels.
 _BAND_PX = 20
