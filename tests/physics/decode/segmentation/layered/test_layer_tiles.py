@@ -10,7 +10,7 @@ import pytest
 
 from metafab.camera import capture
 from metafab.decode import decode
-from metafab.decode.segmentation import layer_tiles
+from metafab.decode.segmentation.layered import layer_tiles
 from metafab.decode.segmentation.layered.frame_model import FrameModel
 from metafab.decode.segmentation.layered.layer_tiles import FrameLayers, TileGroup
 from metafab.spec import Scene, SceneObject

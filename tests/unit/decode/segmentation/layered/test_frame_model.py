@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
-from metafab.decode.segmentation import frame_model
+from metafab.decode.segmentation.layered import frame_model
 from metafab.decode.segmentation.layered.frame_model import FrameModel
 from metafab.decode.segmentation.layered.layer_tiles import TileGroup
 from metafab.decode.segmentation.layered.tile_shares import TileLayers
