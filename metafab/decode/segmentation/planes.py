@@ -99,6 +99,22 @@ def cell_side(step: int, side_px: int = CELL_PX) -> int:
     return max(2, side_px // step)
 
 
+def cell_depths(volume: CostVolume, sums: FloatArray, pixels: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+    """1/depth of cells at the largest correlation of their twins, and its standard error, in 1/m: shapes (n,).
+
+    The error is inf where the twins do not agree, or best at an end of the candidates.
+
+    Args:
+        volume: cost volume, whose candidates the depths are measured at.
+        sums: shape (n, 3, n_candidates), its products summed over each cell.
+        pixels: shape (n,), of each cell.
+    """
+    peak = spline_peaks(correlation(np.moveaxis(sums, 1, 0)).astype(np.float64))
+    error = standard_error(peak.height, peak.curvature / volume.step_per_m**2, 1.0)
+    error = np.where(peak.inside & (peak.height > 0.0), error / np.sqrt(pixels * volume.samples), np.inf)
+    return volume.vergences_per_m[0] + volume.step_per_m * peak.place, error
+
+
 @dataclass(frozen=True)
 class Cells:
     """Square cells of a segment, each with its own depth."""
@@ -140,10 +156,7 @@ class Cells:
         cell_label[row, column] = cell + 1
         sums = volume.label_sums(cell_label, number.size)
         middle_row, middle_column = (np.bincount(cell, axis, number.size) / pixels for axis in (row, column))
-        peak = spline_peaks(correlation(np.moveaxis(sums, 1, 0)).astype(np.float64))
-        vergence = volume.vergences_per_m[0] + volume.step_per_m * peak.place
-        error = standard_error(peak.height, peak.curvature / volume.step_per_m**2, 1.0)
-        error = np.where(peak.inside & (peak.height > 0.0), error / np.sqrt(pixels * volume.samples), np.inf)
+        vergence, error = cell_depths(volume, sums, pixels)
         clear = np.ones(number.size, dtype=bool)
         segment = number // (down * across)
         for axis, middle in enumerate((middle_row, middle_column)):

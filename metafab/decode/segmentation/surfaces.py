@@ -48,7 +48,7 @@ _UNFIT = 2.6
 #: of flat objects have ratios of at most 1.5 or smaller misfits, but 3.4 and 1.9 before a wall at twice the distance,
 #: and 4.4 and 3.4 in a staircase, which the surface does not explain better.
 _STRIPES, _STRIPES_RATIO = 2.0, 1.5
-#: Number of segments, and of tilted ones, from which they may be pieces of one surface: in little light each piece
+#: Number of segments, and of tilted ones, above which they may be pieces of one surface: in little light each piece
 #: fits. Rooms at 300 and 500 electrons have 31 and 46, scenes of flat objects at most 13; a steep card has 11 tilted.
 _PIECES, _TILTED_PIECES = 16, 3
 #: Share of segments' pixels within their interiors below which surfaces are sought, too: near outlines depths mix, and
@@ -145,8 +145,8 @@ def first_segments(
     if layered:
         moved, tilted = (plane_misfit(regions, pixels, inside, free) for free in (_MOVED, _TILTED))
         many = len(regions.depths) > _PIECES or sum(one.plane.tilted for one in regions.depths) > _TILTED_PIECES
-        of_one = many or moved > max(_STRIPES, _STRIPES_RATIO * tilted)
-        if tilted < _UNFIT and not of_one:
+        one_surface = many or moved > max(_STRIPES, _STRIPES_RATIO * tilted)
+        if tilted < _UNFIT and not one_surface:
             return regions
     found = segmentation.of_surfaces(None if layered else regions)
     if found is None:
