@@ -153,7 +153,7 @@ def psf_command(
             )
     if output is not None:
         optics.save_psf(job, pair, layout, output, copy, printed, sizes)
-    figures = optics.PairFigures.of(pair, light_at_um)
+    figures = optics.pair_figures(job, pair, light_at_um)
     announce(figures.warnings())
     show(figures, json_, **neighbour_figures(job, pair), seconds=cost.seconds, file=output)
 

@@ -47,6 +47,8 @@ class PairFigures:
     peak_on_edge: bool | None = optional()
     #: Rms error of the amplitudes of made pillars over their rms, not part of ``error``; None for pillars of the file.
     made_error: float | None = optional()
+    #: Sentence about a model of neighbours that gave the light and is not known to lower the error; None for others.
+    neighbour_warning: str | None = optional()
 
     @classmethod
     def of(cls, psf: Psf, light_at_um: Places | None = None) -> PairFigures:
@@ -60,7 +62,10 @@ class PairFigures:
         return self.light_at_um is None and not self.peak_on_edge
 
     def warnings(self) -> list[str]:
-        """Return a sentence with the place of the light and the remedy, where a window misses the light or cuts it."""
+        """Return sentences with their remedies: of a window that misses the light or cuts it, and of the neighbours."""
+        return [*self._of_window(), *([] if self.neighbour_warning is None else [self.neighbour_warning])]
+
+    def _of_window(self) -> list[str]:
         if self.light_at_um is None:
             return [] if self.is_whole else [self._cut()]
         (x, y), (x_2, y_2) = self.light_at_um

@@ -13,7 +13,7 @@ from metafab.steps.job import Job, Step, light_tangent, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.optics.figures import PairFigures
 from metafab.steps.optics.merit import focus_figures
-from metafab.steps.optics.pairs import point_spread, save_psf
+from metafab.steps.optics.pairs import pair_figures, point_spread, save_psf
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def _at_light(job: Job, light: Light) -> LightFigures:
     return LightFigures(
         wavelength_nm=light.wavelength_nm,
         file=_light_path(job, light).name,
-        pair=PairFigures.of(written, light_at_um),
+        pair=pair_figures(alone, written, light_at_um),
         ideal_efficiency_x=tuple(ideal.efficiency[0].tolist()),
         ideal_efficiency_y=tuple(ideal.efficiency[1].tolist()),
         focus=focus_figures(alone, Imaging.of(alone.design), mask_path) if is_focus else None,

@@ -25,12 +25,13 @@ from metafab.steps.exposure import Printed
 from metafab.steps.job import Job, Step, in_folder
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import library_path
-from metafab.steps.optics.figures import PsfFigures
+from metafab.steps.optics.figures import PairFigures, PsfFigures
 from metafab.steps.optics.sources import (
     ideal_source,
     joint_error,
     light_over_field,
     lit_source,
+    neighbour_warning,
     oblique_error,
     source_of,
     written_light,
@@ -224,6 +225,12 @@ def _verified_psf(job: Job) -> Callable[..., Psf]:
     )
 
 
+def pair_figures(job: Job, pair: Psf, light_at_um: Places | None = None) -> PairFigures:
+    """Figures of all depths of a pair; they warn of a model of neighbours that gave its light and does not pay."""
+    warning = None if pair.neighbours is None else neighbour_warning(job)
+    return replace(PairFigures.of(pair, light_at_um), neighbour_warning=warning)
+
+
 def _calibration(job: Job, source: Source) -> Psf:
     from metafab import optics
 
@@ -278,9 +285,11 @@ def _psf(job: Job) -> PsfFigures:
         depth_interpolation_error=_depth_interpolation_error(written, verified),
         light_at_um=light_elsewhere(source, Imaging.of(design), written),
     )
+    is_among = isinstance(pillars, NeighbourField)
     return replace(
         figures,
-        with_neighbours=isinstance(pillars, NeighbourField) or None,
+        with_neighbours=is_among or None,
+        neighbour_warning=neighbour_warning(job) if is_among else None,
         joint_error=joint_error(job, pillars),
         oblique_error=None if seen is None else oblique_error(job, seen),
         oblique_change=seen.change.change if isinstance(seen, ObliqueField) else None,

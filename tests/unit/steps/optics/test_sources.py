@@ -24,7 +24,7 @@ from metafab.spec import Design
 from metafab.spec.design import Optics
 from metafab.steps.job import Job
 from metafab.steps.library import library_path
-from metafab.steps.optics import mask_source, written_light
+from metafab.steps.optics import mask_source, pair_figures, point_spread, written_light
 from metafab.steps.optics.sources import joint_error, light_over_field
 
 
@@ -72,6 +72,22 @@ def test_the_field_among_neighbours_is_shared_until_mask_or_library_change(
     assert written_light(job, path) is field
     os.utime(design.library, ns=(1, 1))
     assert written_light(job, path) is not field
+
+
+@pytest.mark.parametrize(("error", "told"), [(0.2, True), (0.1, False)])
+def test_light_by_a_model_that_does_not_pay_is_told(
+    design: Design, smooth_library: Library, tmp_path: Path, error: float, told: bool
+) -> None:
+    statistics = LineStatistics(60, 6, local_period_error_alike=0.15, error_alike=error)
+    line = TrainedLine(initial_model(LineShape(2, 1, 2), (100.0, 250.0), (100.0, 250.0), 1), statistics)
+    library.save(replace(smooth_library, neighbours=Neighbours((line, line), (line, line))), design.library)
+    path = _write_mask(design, tmp_path / "run", 300)
+    for asked in (True, False):
+        job = Job(replace(design, optics=Optics(neighbours=asked)), tmp_path)
+        pair, _ = point_spread(job, path, depths_m=(0.4,), window_px=16, target_error=0.1)
+        sentences = [text for text in pair_figures(job, pair).warnings() if "does not lower the error: 0.200" in text]
+        assert len(sentences) == (told and asked)
+        assert all("`optics.neighbours`" in sentence for sentence in sentences)
 
 
 def test_a_missing_mask_says_so_before_any_library_is_built(small_design: Design, tmp_path: Path) -> None:
