@@ -29,6 +29,8 @@ myst_heading_anchors = 3
 exclude_patterns = ["_build", "_gallery"]
 
 html_theme = "alabaster"
+html_static_path = ["_static"]
+html_css_files = ["metafab.css"]
 html_scaled_image_link = False
 html_title = f"metafab {version}"
 html_theme_options = {
