@@ -114,7 +114,8 @@ def _library(run: RunFolder) -> Iterator[Plan]:
         yield _map(f"library_phase_{p}", f"Phase of t over width and length, {p} polarisation", phase)
         share = partial(library.transmittance_map, run.library, polarisation=p)
         yield _map(f"library_transmittance_{p}", f"Transmittance over width and length, {p} polarisation", share)
-    yield _map("coverage", "Pairs of phases that the library reaches", partial(library.coverage, run.library))
+    pairs = partial(library.coverage, run.library, reached=run.summary.library)
+    yield _map("coverage", "Pairs of phases that the library reaches", pairs)
     yield _map("library_error", "Error over width and length", partial(library.error_map, run.library))
 
 

@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from metafab.core.errors import MetafabError
 from metafab.core.storage.files import file_sha256
 from metafab.core.storage.tables import DAMAGED
 from metafab.decode.image import Image4D
-from metafab.exposure.expose import ExposureRecord, load_record
-from metafab.fullwave.coupling import Coupling, find_coupling
-from metafab.fullwave.patch import Patch
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
 from metafab.optics.point_spread import Psf
@@ -29,6 +26,10 @@ from metafab.spec import Design
 from metafab.spec.light import light_label
 from metafab.spec.terms import forms_images, has_lobe
 from metafab.steps import RunSummary
+
+if TYPE_CHECKING:
+    from metafab.exposure.expose import ExposureRecord
+    from metafab.fullwave import Coupling, Patch
 
 Loaded = TypeVar("Loaded")
 
@@ -166,7 +167,7 @@ class RunFolder:
 
 def open_run(path: Path) -> RunFolder:
     """Open the files of a run folder; a missing or damaged file leaves a note."""
-    from metafab import camera, comparison, decode, fullwave, library, mask, optics
+    from metafab import camera, comparison, decode, library, mask, optics
     from metafab.phase.studies.study_store import load_study
     from metafab.spec import load_design
 
@@ -182,7 +183,6 @@ def open_run(path: Path) -> RunFolder:
         pillars = _attempt(notes, "mask", masks[0], lambda file: mask.read_shared(file, design).pillars)
     else:
         notes["mask"] = "reading a mask needs design.toml"
-    patch_file = path / "patch.h5"
     return RunFolder(
         path=path,
         summary=summary,
@@ -199,8 +199,8 @@ def open_run(path: Path) -> RunFolder:
         decoded=_attempt(notes, "decoded", path / "decoded.h5", decode.load),
         # Files of other commands: no note where they are missing.
         exposure=_exposure(notes, path / "exposure.json", masks),
-        coupling=find_coupling(path, masks),
-        patch=_attempt(notes, "patch", patch_file, fullwave.load_patch) if patch_file.is_file() else None,
+        coupling=_coupling(path, masks),
+        patch=_patch(notes, path / "patch.h5"),
         comparison=comparison.load_comparison(path / "comparison.json"),
         notes=notes,
     )
@@ -218,14 +218,38 @@ def _attempt(notes: dict[str, str], name: str, file: Path, load: Callable[[Path]
         return None
 
 
+# Most runs have none of the following files, and do without the import of their rooms.
+
+
+def _coupling(folder: Path, masks: list[Path]) -> Coupling | None:
+    """Rows of a mask of the run; None without any."""
+    if not any((folder / name).is_file() for name in ("coupling.json", "orders.json")):
+        return None
+    from metafab.fullwave.coupling import find_coupling
+
+    return find_coupling(folder, masks)
+
+
+def _patch(notes: dict[str, str], file: Path) -> Patch | None:
+    """Load ``patch.h5``; None without it."""
+    if not file.is_file():
+        return None
+    from metafab.fullwave import load_patch
+
+    return _attempt(notes, "patch", file, load_patch)
+
+
 def _exposure(notes: dict[str, str], file: Path, masks: list[Path]) -> ExposureRecord | None:
     """Load ``exposure.json``; None if it is missing, and with a note if it is damaged or of another mask."""
+    if not file.is_file():
+        return None
+    from metafab.exposure.expose import load_record
+
     record = load_record(file)
     if record is not None and record.mask_sha256 in {file_sha256(mask) for mask in masks if mask.is_file()}:
         return record
-    if file.is_file():
-        reason = "could not be read" if record is None else "is of another mask"
-        notes["exposure"] = f"{file.name} {reason}: make it with `metafab expose`"
+    reason = "could not be read" if record is None else "is of another mask"
+    notes["exposure"] = f"{file.name} {reason}: make it with `metafab expose`"
     return None
 
 

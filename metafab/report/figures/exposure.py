@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
-from metafab.exposure.expose import SizeErrors
-from metafab.exposure.prediction import SizeMap
 from metafab.report.style import (
     CONTRAST_MAP,
     HAIRLINE,
@@ -21,6 +19,10 @@ from metafab.report.style import (
     logarithmic,
     picture,
 )
+
+if TYPE_CHECKING:
+    from metafab.exposure.expose import SizeErrors
+    from metafab.exposure.prediction import SizeMap
 
 _INKS = (Y_COLOUR, X_COLOUR)
 #: The first of two curves that may coincide is the wider.

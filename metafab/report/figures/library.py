@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 
 from metafab.core.conventions import ComplexArray, FloatArray, Polarisation
+from metafab.core.figures import Quality
 from metafab.library.library import Library
 from metafab.library.use.amplitudes import power_transmittance
 from metafab.library.use.lookup import phase_slope_per_nm
@@ -69,8 +70,11 @@ def sensitivity_map(library: Library, axes: Axes, polarisation: Polarisation) ->
     return _size_map(library, axes, turn, "phase turn / rad", title, POLARISATION_COLOUR[polarisation], **scale)
 
 
-def coverage(library: Library, axes: Axes) -> Axes:
-    """Draw every size at its pair of phases, coloured by the smaller transmittance; a ring marks the largest hole."""
+def coverage(library: Library, axes: Axes, reached: Quality | None = None) -> Axes:
+    """Draw every size at its pair of phases, coloured by the smaller transmittance; a ring marks the largest hole.
+
+    ``reached`` are the figures of merit of the library, where they are known already.
+    """
     phase_x, phase_y = (np.angle(_t(library, p)).ravel() for p in ("x", "y"))
     share = np.minimum(transmittance(library, "x"), transmittance(library, "y")).ravel()
     order = np.argsort(share)  # well transmitting sizes on top
@@ -78,7 +82,7 @@ def coverage(library: Library, axes: Axes) -> Axes:
         phase_x[order], phase_y[order], c=share[order], s=5, cmap=SHARE_MAP, vmin=0.0, vmax=1.0, lw=0, rasterized=True
     )
     colour_bar(points, axes, "smaller transmittance")
-    reached = quality(library)
+    reached = reached or quality(library)
     hole = (reached.worst_hole_phase_x_rad, reached.worst_hole_phase_y_rad)
     axes.plot(*hole, "o", mfc="none", mec=X_COLOUR, mew=1.4, ms=11)
     dress(axes, "phase of x / rad", "phase of y / rad", "Coverage, and its largest hole")

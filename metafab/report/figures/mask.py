@@ -72,8 +72,9 @@ def pillar_outlines(
         Path(np.array([place]) + outline.vertices(*size) * unit_um, closed=False)
         for place, size in zip(rectangles_um[:, :2], np.rint(rectangles_um[:, 2:] / unit_um).astype(int), strict=True)
     ]
-    # A single path is drawn as fast as a picture, and it follows the theme of the page.
-    axes.add_patch(PathPatch(Path.make_compound_path(*paths), facecolor=GOOD, linewidth=0.0))
+    # A single path is drawn as fast as a picture, and it follows the theme of the page. As a patch of the axes, its
+    # extent would be sought edge by edge, though the limits are set below.
+    axes.add_artist(PathPatch(Path.make_compound_path(*paths), facecolor=GOOD, linewidth=0.0))
     dress(axes, "x / µm", "y / µm", title)
     axes.set(xlim=(x.min() - 0.2, x.max() + 0.2), ylim=(y.min() - 0.2, y.max() + 0.2), aspect="equal")
     for spine in axes.spines.values():
@@ -84,7 +85,7 @@ def pillar_outlines(
         width_nm, length_nm = (1e3 * rectangles_um[nearest, 2:]).tolist()
         is_round = outline.shape in {"ellipse", "ring"} and width_nm == length_nm
         text = f"Ø {width_nm:g} nm" if is_round else f"{width_nm:g} × {length_nm:g} nm"
-        axes.add_patch(PathPatch(paths[nearest], color=X_COLOUR, lw=0))
+        axes.add_artist(PathPatch(paths[nearest], color=X_COLOUR, lw=0))
         axes.set_title(text, fontsize=9, color=X_COLOUR, loc="right", pad=7)
     return axes
 

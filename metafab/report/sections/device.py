@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from html import escape
+from typing import TYPE_CHECKING
 
 from metafab.core.conventions import POLARISATIONS
 from metafab.core.figures import MappingFigures, OrdersFigures
-from metafab.exposure import SizeErrors
-from metafab.fullwave import Coupling, Patch
 from metafab.optics.point_spread import NeighbourMap
 from metafab.report import html
 from metafab.report.html import Drawn
 from metafab.report.run_folder import RunFolder
+
+if TYPE_CHECKING:
+    from metafab.exposure import SizeErrors
+    from metafab.fullwave import Coupling, Patch
 
 
 def phases(run: RunFolder, drawn: Drawn) -> str:
