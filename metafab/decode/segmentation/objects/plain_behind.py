@@ -1,9 +1,10 @@
-"""Plain parts of an object that are the plain surface behind it.
+"""Plain parts of an object's segment that are the plain surface behind the object.
 
-Where a plain wall has no depth, segments of objects before it still grow over it: up to a window from their own pixels,
-because the blur of an outline shows the outline's depth there. The blur is not in the sharp images, so that these show
-noise alone on the wall, up to the object. Such a part hangs together with the part of the wall that has no depth. It
-is the object's only if the object is as plain there, and unlike the object it goes on.
+Where a plain wall has no depth, segments of objects before it still grow over it, up to a window from their own pixels:
+there the twins agree at the depth of the outline, in its blur. The blur is not in the sharp images, which show noise
+alone from the object's edge on. Such a part is connected, through pixels without texture, with the part of the wall
+that has no depth. Where other pixels of that plain surface have a farther depth, the part is more likely the surface's
+than the object's.
 """
 
 from __future__ import annotations
@@ -22,23 +23,25 @@ from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
 from metafab.decode.segmentation.segments import Regions
 
 #: Side of the window over which the sharp images are compared, frame pixels, and coherence below which they show noise.
-_COHERENCE_PX, _PLAIN = 21.0, 0.5
-#: Windows' worth of pixels without a depth that a plain surface holds: parts of objects are smaller.
+_COHERENCE_PX, _PLAIN = 15.0, 0.5
+#: Width of an edge in the sharp images and in their gradients, downsampled pixels.
+_EDGE = 2
+#: Least area without a depth of a plain surface, in windows: plain parts of objects before textured walls have less.
 _WINDOWS = 8.0
 #: Share of a plain surface's pixels with a depth that may be farther than it, and relative difference of vergence from
 #: which a part is before it: the little that a plain surface shows is up to 9 % off.
 _FARTHER_SHARE, _BEFORE = 0.1, 0.1
-#: Probability that a part before the farthest depth of its plain surface is the object's, and that of the pixels about
-#: it whose windows hold both the part and the object. Of six frames (objects before a plain wall, one of faint texture,
-#: the moon, and three that are plain in one half) 3 to 70 % of the pixels are right, one in three in the mean, and 30
-#: to 90 % of those about them, one half in the mean.
+#: Probability that a part before its plain surface is the object's, and that of the pixels about it whose windows hold
+#: the part and the object. In six frames (three objects before a plain wall, two before one of faint texture, the moon
+#: behind two, three walls that are plain in one half), 3 to 70 % of the former are right, one in three in the mean, and
+#: 30 to 90 % of the latter, one half in the mean.
 _OF_OBJECT, _ABOUT_RIGHT = 0.33, 0.52
 
 
 def plain_behind_doubted(
     prepared: PreparedFrame, regions: Regions, pixels: PixelDepth, light: NDArray[np.float32]
 ) -> Regions:
-    """Segments without the plain parts of objects that are more likely the surface behind them.
+    """Segments without depths in the plain parts of objects that are more likely the surface behind them.
 
     Args:
         prepared: the frame.
@@ -59,15 +62,15 @@ def plain_behind_doubted(
     without = np.bincount(surface[no_depth], minlength=count + 1)
     vergence = regions.vergence_per_m(label)
     known = (label > 0) & ~no_depth & ~regions.of_outline[label]
-    farthest_per_m = np.full(count + 1, np.inf)
-    for number in 1 + np.flatnonzero(without[1:] >= least):
-        if (own := known & (surface == number)).any():
-            farthest_per_m[number] = np.quantile(vergence[own], _FARTHER_SHARE)
-    behind_per_m = farthest_per_m[surface]
-    before = known & (vergence > (1.0 + _BEFORE) * behind_per_m)
+    behind_per_m = np.full(count + 1, np.inf)
+    for number in (1 + np.flatnonzero(without[1:] >= least)).tolist():
+        own = known & (surface == number)
+        if own.any():
+            behind_per_m[number] = np.quantile(vergence[own], _FARTHER_SHARE)
+    before = known & (vergence > (1.0 + _BEFORE) * behind_per_m[surface])
     if not before.any():
         return regions
     away, row, column = nearest(before)
-    about = (away <= window // 2) & (label == label[row, column]) & ~before
+    about = (away <= window // 2 + _EDGE) & (label == label[row, column]) & ~before
     right = np.where(before, np.minimum(regions.right, _OF_OBJECT), regions.right)
     return replace(regions, right=np.where(about, np.minimum(right, _ABOUT_RIGHT), right))
