@@ -156,6 +156,27 @@ def _plain(pixel: float, seed: int) -> Scene:
     )
 
 
+def _sky(pixel: float, seed: int) -> Scene:
+    """Objects before a photograph whose upper half is covered by an even sky at the same depth."""
+    return _scene(
+        _object(pixel, 0.58, photo="gravel"),
+        _object(pixel, 0.9999 * 0.58, (0, 150), (1100, 300), texture="uniform"),
+        _object(pixel, 0.45, (-300, 20), (220, 280), "brick", polarisation_contrast=1.3),
+        _object(pixel, 0.38, (-40, -30), (200, 200), "camera", outline="ellipse"),
+        _object(pixel, 0.33, (170, 60), (180, 220), "grass", polarisation_contrast=0.7),
+        _object(pixel, 0.28, (340, -60), (160, 200), "chelsea"),
+    )
+
+
+def _plain_wall(pixel: float, seed: int) -> Scene:
+    return _scene(
+        _object(pixel, 0.55, texture="uniform", brightness=0.8),
+        _object(pixel, 0.32, (-290, 30), (230, 250), "coins"),
+        _object(pixel, 0.41, (20, -50), (220, 220), "grass", outline="ellipse", polarisation_contrast=1.4),
+        _object(pixel, 0.36, (310, 40), (200, 260), "chelsea"),
+    )
+
+
 def _sides(pixel: float, seed: int) -> Scene:
     return _scene(_object(pixel, 0.33))
 
@@ -168,12 +189,8 @@ def _first_page(pixel: float, seed: int) -> Scene:
 
 
 _NATURAL = "natural textures, six objects before a wall"
-_NATURAL_GOALS = (
-    Goal(judge.inside_error, 0.006),
-    Goal(judge.decoded_share, 0.97, True),
-    Goal(judge.sure_and_wrong, 0.005),
-    Goal(judge.miscalibration, 0.05),
-)
+_SURELY_RIGHT = Goal(judge.sure_and_wrong, 0.005), Goal(judge.miscalibration, 0.05)
+_NATURAL_GOALS = Goal(judge.inside_error, 0.006), Goal(judge.decoded_share, 0.97, True), *_SURELY_RIGHT
 _STAIRS = "stairs, each tread"
 _SURE_GOALS = Goal(judge.sure_and_wrong, 0.01), Goal(judge.miscalibration, 0.05)
 _PICTURE_GOALS = Goal(judge.all_error, 0.015), Goal(judge.decoded_share, 0.9, True), *_SURE_GOALS
@@ -248,6 +265,18 @@ CASES = (
         _plain,
         (Goal(judge.worst_object_error, 0.01), Goal(judge.decoded_share, 0.9, True), Goal(judge.pull, 3.0)),
     ),
+    Case(
+        "sky",
+        "objects before a wall that is plain in its upper half",
+        _sky,
+        (Goal(judge.all_error, 0.015), *_SURELY_RIGHT),
+    ),
+    Case(
+        "plain_wall",
+        "objects before a wall without texture: the wall's pixels with an object's depth",
+        _plain_wall,
+        (Goal(judge.all_error, 0.015), *_SURELY_RIGHT),
+    ),
     Case("sides", "own-pixel depth at the sides of the frame", _sides, (Goal(judge.side_bias, 0.001),)),
     Case(
         "first_page",
@@ -259,6 +288,7 @@ CASES = (
     Case("motorcycle", "a picture with its depth", rgbd("motorcycle", 3000.0), _PICTURE_GOALS),
     Case("motorcycle_500", "a picture with its depth in little light", rgbd("motorcycle", 500.0), _SURE_GOALS),
     Case("steps", "a photograph on steps of depth that its light hardly shows", rgbd("steps", 3000.0), _SURE_GOALS),
+    Case("room", "a room with boxes in little light", rgbd("room", 300.0), _SURE_GOALS),
     Case(
         "plain_ground",
         "plain dim ground about textured objects",

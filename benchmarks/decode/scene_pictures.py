@@ -1,7 +1,8 @@
 """Pictures with their depth for the scene benchmark: one of scikit-image, and others with depths of our own.
 
-The Middlebury motorcycle has measured depths. The other two are hard for a decoder: steps of depth that the light
-hardly shows, and a plain dim ground about textured objects, where the twins agree in the blur of outlines alone.
+The Middlebury motorcycle has measured depths. The others are hard for a decoder: steps of depth that the light hardly
+shows, a plain dim ground about textured objects, where the twins agree in the blur of outlines alone, and a room whose
+walls are steep and partly plain.
 """
 
 from __future__ import annotations
@@ -27,6 +28,14 @@ RANGE_M = (0.25, 0.60)
 _STEPS, _STEPS_PX = 8, 6.0
 #: Standard deviations of the Gaussians of random objects and slopes, pixels.
 _OBJECT_PX, _SLOPE_PX = 25.0, 70.0
+#: Half width of a room's back wall, as a share of the field's. Boxes in the room: photograph, depth in m, middle and
+#: half sides as shares of the field's half sides.
+_BACK_WALL = 0.45
+_BOXES = (
+    ("coins", 0.38, (-0.45, 0.35), (0.14, 0.27)),
+    ("camera", 0.33, (0.1, 0.5), (0.19, 0.21)),
+    ("chelsea", 0.44, (0.5, -0.2), (0.12, 0.31)),
+)
 #: Light of the plain ground over the objects' mean.
 _GROUND = 0.35
 
@@ -102,6 +111,23 @@ def _plain_ground() -> tuple[FloatArray, FloatArray]:
     return light, 1.0 / _vergence(share)
 
 
+def _room() -> tuple[FloatArray, FloatArray]:
+    """A view along a room: back wall, side walls, floor and ceiling with photographs on them, and three boxes."""
+    (n_y, n_x), (near_m, far_m) = FIELD_PX, RANGE_M
+    y, x = np.meshgrid(np.linspace(-1.0, 1.0, n_y), np.linspace(-1.0, 1.0, n_x), indexing="ij")
+    brick, gravel, grass = (one / one.mean() for one in map(_photograph, ("brick", "gravel", "grass")))
+    # Walls recede in perspective: their depth is that of the back wall over the distance from the middle.
+    nearness = np.maximum(np.maximum(np.abs(x), np.abs(y)) / _BACK_WALL, 1.0)
+    depth_m = near_m + (far_m - near_m) * (1.0 / nearness - _BACK_WALL) / (1.0 - _BACK_WALL)
+    sides, ends = np.where(x > 0.0, 0.9 * brick, 0.7 * grass), np.where(y > 0.0, 0.8 * grass, 1.1 * gravel)
+    light = np.where(nearness == 1.0, brick, np.where(np.abs(x) > np.abs(y), sides, ends))
+    for name, box_m, (left, top), (width, height) in _BOXES:
+        box = (depth_m > box_m) & (np.abs(x - left) < width) & (np.abs(y - top) < height)
+        photograph = _photograph(name)
+        light, depth_m = np.where(box, photograph / photograph.mean(), light), np.where(box, box_m, depth_m)
+    return light, depth_m
+
+
 def _of_range(values: FloatArray) -> FloatArray:
     """Values as shares of their range, 0 to 1."""
     return np.asarray((values - values.min()) / np.ptp(values))
@@ -113,4 +139,4 @@ def _vergence(share: FloatArray) -> FloatArray:
     return np.asarray(1.0 / far + share * (1.0 / near - 1.0 / far))
 
 
-_PICTURES = {"motorcycle": _motorcycle, "steps": _steps, "plain_ground": _plain_ground}
+_PICTURES = {"motorcycle": _motorcycle, "steps": _steps, "plain_ground": _plain_ground, "room": _room}

@@ -29,6 +29,9 @@ Reals = NDArray[np.floating[Any]]
 RIGHT_WITHIN = 0.05
 #: Relative standard error from which no depth is claimed.
 LARGEST_ERROR = 0.04
+#: Scatter of segments' depths over their standard errors: 1.45 in 98 fits of small objects, 1.3 in windows of planes.
+#: The errors of small segments reach 2 to 3 %, and those are wrong the most often.
+SEGMENTS_SCATTER = 1.45
 #: Probability of the right segment below which no depth is claimed: it is more likely wrong.
 LEAST_RIGHT = 0.5
 #: Weights of the log odds of a wrong segment: 1, log misfit, nearness of an outline within 8 and within 20 pixels, the

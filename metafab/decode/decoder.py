@@ -17,7 +17,7 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.decode.evaluation import evaluated
 from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m, lit_pixels
-from metafab.decode.images.contrast_outlines import moved_outlines
+from metafab.decode.images.contrast_outlines import block_sums, moved_outlines
 from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages, TileSpectra
 from metafab.decode.images.frame_outlines import outlines_by_frame
 from metafab.decode.images.light_outlines import outlines_at_edges
@@ -32,6 +32,7 @@ from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import repeated
 from metafab.decode.registration.twins import TwinGrid
 from metafab.decode.segmentation.layered.layer_light import LayerOptics
+from metafab.decode.segmentation.objects.plain_behind import plain_behind_doubted
 from metafab.decode.segmentation.objects.plain_parts import plain_parts_judged
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
@@ -249,6 +250,8 @@ class Decoder:
             regions = shortest_outlines(regions, sharp, step)
             regions = outlines_by_frame(regions, prepared, self.layer_optics, step)
             regions = plain_parts_judged(prepared, volume, regions, pixels)
+            light = block_sums(np.ascontiguousarray(sharp.images), step, regions.grown.shape)
+            regions = plain_behind_doubted(prepared, regions, pixels, light)
         maps = PixelMaps.of(prepared, pixels, regions, sharp, lit)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 

@@ -13,7 +13,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.figures import DecodingFigures, SegmentFigures
 from metafab.core.numeric.distance import distance
 from metafab.core.parallel.executor import kept_threads
-from metafab.decode.confidence import LEAST_RIGHT, RIGHT_WITHIN, confidence, same_side
+from metafab.decode.confidence import LEAST_RIGHT, RIGHT_WITHIN, SEGMENTS_SCATTER, confidence, same_side
 from metafab.decode.image import Image4D
 from metafab.decode.images.contrast import SegmentLight, pixel_contrast
 from metafab.decode.images.deconvolution import SharpImages
@@ -183,6 +183,8 @@ def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int
     if not regions.continuous:
         known &= (distance(claimed) <= WINDOW_PX / step) | regions.of_outline[regions.grown]
     segment_error = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])[regions.grown]
+    if not regions.continuous:  # Otherwise the probability of the right depth counts the noise.
+        segment_error *= SEGMENTS_SCATTER
     vergence = regions.vergence_per_m(regions.grown)
     right = np.ones(vergence.shape) if regions.right is None else regions.right
     known &= right >= LEAST_RIGHT

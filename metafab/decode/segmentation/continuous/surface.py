@@ -130,7 +130,7 @@ def dimmer_than_around(light: NDArray[np.float32], window: int) -> NDArray[np.fl
     return np.asarray(np.log(both / window_maxima(both, window)))
 
 
-def gradient_coherence(light: NDArray[np.float32]) -> NDArray[np.float32]:
+def gradient_coherence(light: NDArray[np.float32], window: int = _GRADIENT_WINDOW) -> NDArray[np.float32]:
     """Correlation of the gradients of both sharp images in a window about each pixel: shape (n_y, n_x), -1 to 1.
 
     Both images show a texture, and each has noise of its own. The blur of an outline, in which the twins agree far
@@ -138,11 +138,12 @@ def gradient_coherence(light: NDArray[np.float32]) -> NDArray[np.float32]:
 
     Args:
         light: shape (2, n_y, n_x), sharp light of both images.
+        window: side of the window, pixels; odd.
     """
     gradients = np.stack([np.gradient(light, axis=axis) for axis in (1, 2)])
     x, y = gradients[:, 0], gradients[:, 1]
     sums = np.stack([(one * other).sum(axis=0) for one, other in ((x, y), (x, x), (y, y))])
-    return np.asarray(correlation(window_means(sums.astype(np.float32), _GRADIENT_WINDOW)))
+    return np.asarray(correlation(window_means(sums.astype(np.float32), window)))
 
 
 def jump_prices(light: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -6,4 +6,5 @@
 - ``bars``           straight bars narrower than a window before a segment, by ridges of its misfit
 - ``plain_objects``  objects without texture, by the depth of their outlines
 - ``plain_parts``    wide parts of segments whose twins show no depth
+- ``plain_behind``   plain parts of objects that are the plain surface behind them
 """

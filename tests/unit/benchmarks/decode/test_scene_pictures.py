@@ -18,7 +18,7 @@ def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.mark.parametrize("with_pictures", [True, False])
-@pytest.mark.parametrize("name", ["motorcycle", "steps", "plain_ground"])
+@pytest.mark.parametrize("name", ["motorcycle", "steps", "plain_ground", "room"])
 def test_a_picture_fills_the_field_and_the_range(
     name: str, with_pictures: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -47,6 +47,17 @@ def test_the_plain_ground_has_no_texture_and_lies_behind() -> None:
     ground = light == scene_pictures._GROUND
     assert ground.mean() == pytest.approx(2.0 / 3.0, abs=0.01)
     assert depth_m[ground].min() > depth_m[~ground].max()
+
+
+def test_a_room_recedes_to_its_back_wall_and_its_boxes_stand_before() -> None:
+    _, depth_m = scene_pictures._room()
+    near_m, far_m = RANGE_M
+    middle = np.s_[200:280, 380:480]
+    assert (depth_m[middle] == far_m).all()
+    np.testing.assert_allclose(depth_m[[0, -1]], near_m)
+    for _, box_m, (left, top), _ in scene_pictures._BOXES:
+        row, column = (round(0.5 * (1.0 + place) * n) for place, n in zip((top, left), FIELD_PX, strict=True))
+        assert depth_m[row, column] == box_m
 
 
 def test_steps_have_equal_numbers_of_pixels() -> None:
