@@ -71,7 +71,9 @@ class Segmentation:
         """
         pixels, window = self.pixels, self.prepared.window
         shape = pixels.claimed.shape
-        away = np.min([np.abs(pixels.vergence_per_m - plane.over(shape)) for plane in planes], axis=0)
+        away = np.full(shape, np.inf)
+        for plane in planes:
+            np.minimum(away, np.abs(pixels.vergence_per_m - plane.over(shape)), out=away)
         doubt = 0.5 * self.separation_per_m + 2.0 * pixels.relative_error * pixels.vergence_per_m
         off_planes = binary_opening(pixels.claimed & (away > doubt), np.ones((window, window), dtype=bool))
         depths = depth_layers(replace(pixels, claimed=off_planes), self.separation_per_m).tolist()

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +91,8 @@ class Plane:
 
     def over(self, shape: tuple[int, ...]) -> FloatArray:
         """1/depth at each pixel of a picture: shape ``shape``."""
+        if not self.tilted:
+            return np.broadcast_to(self.at(np.zeros(()), np.zeros(())), shape)
         row, column = np.ogrid[: shape[0], : shape[1]]
         return np.broadcast_to(self.at(row.astype(np.float64), column.astype(np.float64)), shape)
 
@@ -213,8 +216,7 @@ def fit_plane(cells: Cells) -> Plane | None:
     weight = 1.0 / cells.error_per_m[known] ** 2
     centre = float(np.average(row, weights=weight)), float(np.average(column, weights=weight))
     design = np.stack([np.ones(row.size), row - centre[0], column - centre[1]], axis=1)
-    triples = np.random.default_rng(0).integers(0, vergence.size, (_TRIPLES, 3))
-    solution, biweight, scale = _robust_plane(triples, design, vergence, np.sqrt(weight))
+    solution, biweight, scale = _robust_plane(_triples(vergence.size), design, vergence, np.sqrt(weight))
     if not np.isfinite(scale):
         return None
     normal = design.T @ (design * (weight * biweight)[:, None]) / scale**2
@@ -224,6 +226,14 @@ def fit_plane(cells: Cells) -> Plane | None:
     if float(slope @ slope_information @ slope) < _SIGNIFICANT**2 or rise < _SMALLEST_RISE * abs(solution[0]):
         return None
     return Plane(float(solution[0]), (float(slope[0]), float(slope[1])), centre)
+
+
+@lru_cache(maxsize=256)
+def _triples(count: int) -> NDArray[np.int64]:
+    """Random triples of ``count`` cells: shape (n_triples, 3), read-only."""
+    triples = np.random.default_rng(0).integers(0, count, (_TRIPLES, 3))
+    triples.flags.writeable = False
+    return triples
 
 
 @compiled

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_cdt, gaussian_filter1d
+from scipy.ndimage import distance_transform_cdt, find_objects, gaussian_filter1d
 from scipy.ndimage import label as connected_components
 
 from metafab.core.conventions import FloatArray
@@ -289,12 +289,14 @@ def connected_segments(
     """
     segment = np.zeros(layer.shape, dtype=np.int32)
     count = 0
-    for index in range(1, int(layer.max(initial=0)) + 1):
-        component, n_components = connected_components(opened((layer == index) & lit, max(1, 2 // step)))
+    for index, box in enumerate(find_objects(np.where(lit, layer, 0)), start=1):
+        if box is None:
+            continue
+        component, n_components = connected_components(opened((layer[box] == index) & lit[box], max(1, 2 // step)))
         sizes = np.bincount(component.ravel(), minlength=n_components + 1) * step**2
         large = np.append(False, sizes[1:] >= _FEWEST_PX)
         numbers = np.where(large, count + np.cumsum(large), 0).astype(np.int32)
-        segment += numbers[component]
+        segment[box] += numbers[component]
         count += int(large.sum())
     sizes = np.bincount(segment.ravel(), minlength=count + 1) * step**2
     large = sizes >= window_px**2
