@@ -1,4 +1,4 @@
-"""Means over windows and sums over labels, of many pictures at once."""
+"""Means and maxima over windows and sums over labels, of many pictures at once."""
 
 from __future__ import annotations
 
@@ -77,6 +77,14 @@ def window_maxima(picture: NDArray[Value], window: int) -> NDArray[Value]:
             largest, side = both if axis == 0 else both.T, side + step
         picture = largest
     return picture
+
+
+def opened_by_square(mask: NDArray[np.bool_], window: int) -> NDArray[np.bool_]:
+    """Pixels of a mask, shape (n_y, n_x), in the squares of odd side ``window`` that lie in it: the same shape."""
+    reach = window // 2
+    inner = slice(reach, -reach or None)
+    outside = np.pad(~mask, reach, constant_values=True)
+    return window_maxima(~window_maxima(outside, window)[inner, inner], window)
 
 
 def halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -164,7 +164,9 @@ class Cells:
         segment = number // (down * across)
         for axis, middle in enumerate((middle_row, middle_column)):
             for rim, near in ((0, middle < side), (-1, middle >= label.shape[axis] - side)):
-                clear &= ~(near & np.isin(segment, label.take(rim, axis)))
+                reaching = np.zeros(count + 1, dtype=bool)
+                reaching[label.take(rim, axis)] = True
+                clear &= ~(near & reaching[segment])
         starts = np.searchsorted(segment, np.arange(1, count + 2))
         cells = []
         for start, stop in itertools.pairwise(starts.tolist()):
@@ -438,17 +440,27 @@ def distinct_planes(planes: list[Plane], label: NDArray[np.int32], separation_pe
     """
     sizes = np.bincount(label.ravel(), minlength=len(planes) + 1)[1:]
     kept: list[int] = []
+    touching: dict[int, NDArray[np.bool_]] = {}
     for index in sorted(range(len(planes)), key=lambda k: (not planes[k].tilted, -sizes[k])):
-        mask = label == index + 1
-        box = box_about(mask, 2)
-        beside = label[box][binary_dilation(mask[box], iterations=2)] if mask.any() else label[box]
-        row, column = (axis.astype(np.float64) for axis in np.nonzero(mask))
-        vergence = planes[index].at(row, column)
-        if not any(
-            planes[other].tilted
-            and (beside == other + 1).any()
-            and np.median(np.abs(planes[other].at(row, column) - vergence)) < 0.5 * separation_per_m
-            for other in kept
-        ):
-            kept.append(index)
+        beside = [other for other, numbers in touching.items() if numbers[index + 1]]
+        if beside:
+            row, column = (axis.astype(np.float64) for axis in np.nonzero(label == index + 1))
+            vergence = planes[index].at(row, column)
+            away = [np.median(np.abs(planes[other].at(row, column) - vergence)) for other in beside]
+            if min(away) < 0.5 * separation_per_m:
+                continue
+        kept.append(index)
+        if planes[index].tilted:
+            touching[index] = _touching(label, index + 1, len(planes) + 1)
     return [planes[index] for index in sorted(kept)]
+
+
+def _touching(label: NDArray[np.int32], number: int, count: int) -> NDArray[np.bool_]:
+    """Whether a segment, of the numbers in ``label`` below ``count``, has pixels within two steps of that ``number``.
+
+    Shape (count,).
+    """
+    mask = label == number
+    box = box_about(mask, 2)
+    near = label[box][binary_dilation(mask[box], iterations=2)] if mask.any() else label[:0].ravel()
+    return np.asarray(np.bincount(near, minlength=count) > 0)

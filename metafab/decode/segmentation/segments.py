@@ -97,7 +97,10 @@ class Regions:
 
     def within(self, rows: slice, columns: slice) -> Regions:
         """The segments in a part of the window, with the same numbers."""
-        depths = tuple(replace(one, plane=one.plane.moved(-rows.start, -columns.start)) for one in self.depths)
+        depths = tuple(
+            replace(one, plane=one.plane.moved(-rows.start, -columns.start)) if one.plane.tilted else one
+            for one in self.depths
+        )
         part = (rows, columns)
         label, inside, grown_label = (one[part] for one in (self.label, self.interior, self.grown))
         right, surface = (None if one is None else one[part] for one in (self.right, self.surface_per_m))
@@ -311,12 +314,11 @@ def connected_segments(
 
 def opened(mask: NDArray[np.bool_], steps: int) -> NDArray[np.bool_]:
     """Morphological opening of a mask, shape (n_y, n_x), by a cross, ``steps`` times; ten times faster than SciPy's."""
-    for combine in (np.logical_and, np.logical_or):
-        for _ in range(steps):
-            wide = np.pad(mask, 1)
-            mask = combine(mask, wide[:-2, 1:-1])
-            for neighbour in (wide[2:, 1:-1], wide[1:-1, :-2], wide[1:-1, 2:]):
-                combine(mask, neighbour, out=mask)
+    for _ in range(steps):
+        mask = ~dilated(~mask)
+        mask[[0, -1]] = mask[:, [0, -1]] = False
+    for _ in range(steps):
+        mask = dilated(mask)
     return mask
 
 
@@ -423,6 +425,8 @@ def is_textured(region: NDArray[np.bool_], texture: NDArray[np.bool_], reach: in
     True for one too small to have an interior. From ``reach`` pixels on a window contains the outline.
     """
     box = box_about(region)
+    if min(region[box].shape) <= 2 * reach:
+        return True
     inner = distance_transform_cdt(np.pad(region[box], 1), metric="taxicab")[1:-1, 1:-1] > reach
     return not inner.any() or float(texture[box][inner].mean()) > _LEAST_TEXTURED
 
