@@ -145,7 +145,7 @@ def _patch_means(
                     for dj in range(side):
                         value = np.float64(line[left + dj])
                         total += value
-                        dim += abs(value) < dimmest
+                        dim += bool(abs(value) < dimmest)
                 if dim < side * side:  # a few patches, which hold a saturated or invalid pixel or lie beyond an edge
                     total = 0.0
                     for di in range(side):

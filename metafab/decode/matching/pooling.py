@@ -42,8 +42,8 @@ def _window_means(first: int, stop: int, pictures: NDArray[np.float32], reach: i
     source = np.empty(n_x + 2 * reach, dtype=np.int64)
     for k in range(source.size):
         source[k] = mirrored(k - reach, n_x)
-    # Running sums along mirrored rows: running[row, k] holds the first k values. Four rows at once, because additions to
-    # a single sum wait for one another.
+    # Running sums along mirrored rows: running[row, k] holds the first k values. Four rows at once: additions to a
+    # single sum wait for one another.
     column_sums, running = np.empty((4, n_x), dtype=np.float64), np.zeros((4, source.size + 1), dtype=np.float64)
     for p in range(first, stop):
         column_sum = np.zeros(n_x, dtype=np.float64)
