@@ -250,7 +250,7 @@ def _row_means(
     padded: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
-    """Write the means of candidate ``v`` of products (3, n, n_y, n_x) over the windows about one row's pixels: (3, n_x).
+    """Write the means of products (3, n, n_y, n_x) of candidate ``v`` over the windows about a row's pixels: (3, n_x).
 
     ``padded``, shape (3, n_x + 2 reach), is scratch. All three at once: additions to a single sum wait for one another.
     """
