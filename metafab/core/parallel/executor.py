@@ -5,7 +5,9 @@ All have the interface of :class:`concurrent.futures.Executor`.
 
 from __future__ import annotations
 
+import math
 import os
+import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
@@ -32,6 +34,9 @@ _kept_threads: ContextVar[KeptThreads | None] = ContextVar("_kept_threads", defa
 
 #: Pieces of work that are submitted and not yet yielded, unless a caller says otherwise.
 AHEAD = 8
+
+#: Work of a compiled loop, in seconds, from which a second thread pays: to hand it over takes 50 us.
+_WORTH_A_THREAD_S = 2e-4
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -206,16 +211,25 @@ def kept_threads() -> Iterator[KeptThreads]:
 def spread(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
     """Call ``kernel(first, stop, *arguments)`` for parts of ``range(count)``, in parallel on the kept threads.
 
-    There is one part on one core, without :func:`kept_threads`, and inside one of its jobs. The kernel is compiled;
+    There is one part on one core, without :func:`kept_threads`, inside one of its jobs, and where the kernel took so
+    little time for each element of its arrays, the last time, that a thread would not pay. The kernel is compiled;
     results of items do not depend on each other.
     """
     threads = _kept_threads.get()
-    parts = 1 if threads is None else max(1, min(count, default_workers()))
+    size = max(1, sum(getattr(one, "size", 0) for one in arguments))
+    pays = threads is not None and _seconds_of_element.get(kernel, math.inf) * size > _WORTH_A_THREAD_S
+    parts = max(1, min(count, default_workers())) if pays else 1
     edges = [count * part // parts for part in range(parts + 1)]
     jobs = [] if threads is None else [threads.submit(kernel, *edge, *arguments) for edge in pairwise(edges[1:])]
+    started = time.perf_counter()
     kernel(edges[0], edges[1], *arguments)
+    _seconds_of_element[kernel] = (time.perf_counter() - started) * parts / size
     for job in jobs:
         job.result()
+
+
+#: Seconds for each element of its arrays that each kernel took the last time.
+_seconds_of_element: dict[Callable[..., None], float] = {}
 
 
 def _submitter(executor: Executor, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:

@@ -133,21 +133,29 @@ def _patch_means(
     invalid: NDArray[np.uint8],
 ) -> None:
     n_x, last_row, last_column = row.shape[2], frame.shape[0] - 1, frame.shape[1] - 1
+    dimmest = min(limit, BRIGHTEST)
     for y in range(first, stop):
         for image in range(2):
             for x in range(n_x):
                 total, n_full, n_invalid, above, left = 0.0, 0, 0, row[image, y, x], column[image, y, x]
                 is_inside = above >= 0 and left >= 0 and above + side <= last_row + 1 and left + side <= last_column + 1
-                for di in range(side):
-                    i = above + di if is_inside else min(max(above + di, 0), last_row)
+                dim = 0
+                for di in range(side if is_inside else 0):
+                    line = frame[above + di]
                     for dj in range(side):
-                        j = left + dj if is_inside else min(max(left + dj, 0), last_column)
-                        value = np.float64(frame[i, j])
-                        # Without branches, which would be mispredicted.
-                        valid = abs(value) < BRIGHTEST
-                        total += min(value, limit) if valid else 0.0
-                        n_full += bool(valid and value >= limit)
-                        n_invalid += not valid
+                        value = np.float64(line[left + dj])
+                        total += value
+                        dim += bool(abs(value) < dimmest)
+                if dim < side * side:  # a few patches, which hold a saturated or invalid pixel or lie beyond an edge
+                    total = 0.0
+                    for di in range(side):
+                        i = min(max(above + di, 0), last_row)
+                        for dj in range(side):
+                            value = np.float64(frame[i, min(max(left + dj, 0), last_column)])
+                            valid = abs(value) < BRIGHTEST
+                            total += min(value, limit) if valid else 0.0
+                            n_full += bool(valid and value >= limit)
+                            n_invalid += not valid
                 mean[image, y, x] = total / max(side * side - n_invalid, 1)
                 full[image, y, x] = n_full
                 invalid[image, y, x] = n_invalid

@@ -98,11 +98,12 @@ def track(
             number[index] = len(depths)
     used = np.array([0, *(one is not None for one in depths)])
     renumbered = (np.cumsum(used) * used).astype(np.int32)
-    labels = []
+    of_last = np.append(0, np.where(stays, renumbered[1 : count + 1], 0)).astype(np.int32)
+    of_current, labels = renumbered[number], []
     for before, now in ((last.label, current.label), (last.interior, current.interior), (last.grown, current.grown)):
-        label = np.where(np.append(True, stays)[before], before, 0).astype(np.int32)
-        label[part][affected] = number[now[inside][affected]]
-        labels.append(renumbered[label])
+        label = of_last[before]
+        label[part][affected] = of_current[now[inside][affected]]
+        labels.append(label)
     earlier, later = _right(last), _right(current)
     right = None if earlier is None or later is None else earlier.copy()
     if right is not None and later is not None:
@@ -116,7 +117,7 @@ def track(
     label, interior, grown = labels
     tracked = tuple(one for one in depths if one is not None)
     regions = Regions(last.layers, tracked, label, interior, grown, right, surface)
-    return TrackedRegions(regions, np.append(0, np.where(stays, renumbered[1 : count + 1], 0)).astype(np.int32))
+    return TrackedRegions(regions, of_last)
 
 
 def _right(regions: Regions) -> FloatArray | None:

@@ -181,13 +181,16 @@ class VideoDecoder:
         whole = slice(0, affected.shape[0]), slice(0, affected.shape[1])
         redrawn = rectangles if regions is tracked.regions else [self._rectangle(prepared, whole)]
         sharp = self._deconvolved(prepared, last, regions, rectangles, affected, tiles.result())
-        regions = self._moved(regions, sharp, rectangles, changed)
+        lit = [self._lit(one, sharp) for one in rectangles]
+        regions = self._moved(regions, sharp, rectangles, lit, changed)
+        if redrawn is not rectangles:
+            lit = [self._lit(one, sharp) for one in redrawn]
         maps, patches = copied.result(), []
-        for one in redrawn:
+        for one, lit_here in zip(redrawn, lit, strict=True):
             frame_slices, around = self.decoder.filters.downsampling.frame_slices, one.around
             sharp_part = sharp.within(*frame_slices(*around))
             of_part = one.prepared, pixels.within(*around), regions.within(*around), sharp_part
-            of_part_maps = PixelMaps.of(*of_part, lit_pixels(one.prepared, sharp_part))
+            of_part_maps = PixelMaps.of(*of_part, lit_here)
             patches.append((frame_slices(*one.part), of_part_maps, frame_slices(*around)))
         maps.overwrite(tracked.number, patches)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
@@ -197,21 +200,25 @@ class VideoDecoder:
         regions: Regions,
         sharp: SharpImages,
         rectangles: list[_Rectangle],
+        lit: list[NDArray[np.bool_]],
         changed: NDArray[np.bool_],
     ) -> Regions:
         """Segments whose outlines in the parts stand where the contrast changes; ``regions`` if they all do."""
         downsampling = self.decoder.filters.downsampling
-        for one in rectangles:
+        for one, lit_here in zip(rectangles, lit, strict=True):
             local = regions.within(*one.around)
             sharp_part = sharp.within(*downsampling.frame_slices(*one.around))
-            lit = lit_pixels(one.prepared, sharp_part)
-            moved = moved_outlines(local, sharp_part, downsampling.step, lit, changed[one.around])
+            moved = moved_outlines(local, sharp_part, downsampling.step, lit_here, changed[one.around])
             if moved is not local:
                 arrays = {name: getattr(regions, name).copy() for name in ("label", "interior", "grown", "right")}
                 for name, array in arrays.items():
                     array[one.around] = getattr(moved, name)
                 regions = replace(regions, **arrays)
         return regions
+
+    def _lit(self, one: _Rectangle, sharp: SharpImages) -> NDArray[np.bool_]:
+        """Pixels around a rectangle that have light in the sharp images."""
+        return lit_pixels(one.prepared, sharp.within(*self.decoder.filters.downsampling.frame_slices(*one.around)))
 
     def _rectangle(self, prepared: PreparedFrame, part: Part) -> _Rectangle:
         around = self._surroundings(part)

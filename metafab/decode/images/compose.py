@@ -145,9 +145,9 @@ class PixelMaps:
             layers=regions.layers,
             step_px=step,
             pixels=self.lit.size,
-            pixels_without_signal=int((~self.lit).sum()),
-            pixels_without_texture=int((self.lit & np.isnan(self.depth_m)).sum()),
-            pixels_broken=int(prepared.twins.bad.sum()),
+            pixels_without_signal=self.lit.size - int(np.count_nonzero(self.lit)),
+            pixels_without_texture=int(np.count_nonzero(self.lit & np.isnan(self.depth_m))),
+            pixels_broken=int(np.count_nonzero(prepared.twins.bad)),
             contrast_standard_error=_median_relative(self.contrast_error[some], self.contrast[some]),
         )
         return Image4D(

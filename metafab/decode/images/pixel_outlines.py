@@ -52,7 +52,7 @@ def on_pixels(
     beyond = np.zeros(label.shape) if beyond_px is None else beyond_px.astype(np.float64)
     share = ndtr(beyond / (DEVIATION * step))
     odds = np.ascontiguousarray(share / (1.0 - share))
-    spread(_write_sources, shape[0], np.ascontiguousarray(label), mixed, odds, step, *weights, source)
+    spread(_write_sources, label.shape[0], np.ascontiguousarray(label), mixed, odds, step, *weights, source)
     return lambda values: values.ravel().take(source)
 
 
@@ -78,53 +78,72 @@ def _write_sources(
 ) -> None:
     """Write, for each pixel, the flat index of the nearest downsampled pixel of the segment that weighs most."""
     n_y, n_x = label.shape
-    side = along_y.shape[1]
-    numbers, sums = np.empty(side * side, dtype=np.int32), np.empty(side * side)
-    for y in range(first, stop):
-        row = min((y + step // 2) // step, n_y - 1)
-        for x in range(source.shape[1]):
-            column = min((x + step // 2) // step, n_x - 1)
-            source[y, x] = row * n_x + column
-            if mixed[row, column]:
-                best = _heaviest(label, row, column, odds[row, column], along_y[y], along_x[x], numbers, sums)
-                if best != label[row, column]:
-                    source[y, x] = _nearest(label, row, column, along_y[y], along_x[x], best)
+    side, widest = along_y.shape[1], 2 * step
+    numbers = np.empty(side * side, dtype=np.int32)
+    # Of the pixels nearest to a downsampled one, row by row: weights along both axes, sums of each segment's weights.
+    of_y, of_x, sums = np.zeros((side, widest**2)), np.zeros((side, widest**2)), np.empty((side * side, widest**2))
+    for row in range(first, stop):
+        top, bottom = _pixels_of(row, n_y, step, source.shape[0])
+        for column in range(n_x):
+            left, right = _pixels_of(column, n_x, step, source.shape[1])
+            source[top:bottom, left:right] = row * n_x + column
+            if not mixed[row, column]:
+                continue
+            count, place = (bottom - top) * (right - left), 0
+            for y in range(top, bottom):
+                for x in range(left, right):
+                    of_y[:, place], of_x[:, place] = along_y[y], along_x[x]
+                    place += 1
+            segments = _add_weights(label, row, column, of_y[:, :count], of_x[:, :count], numbers, sums[:, :count])
+            for place in range(count):
+                best = 0
+                sums[0, place] *= odds[row, column]
+                for k in range(1, segments):
+                    # Its own segment wins ties.
+                    if sums[k, place] > sums[best, place] * (1.0 + 1e-9):
+                        best = k
+                if best > 0:
+                    y, x = top + place // (right - left), left + place % (right - left)
+                    source[y, x] = _nearest(label, row, column, along_y[y], along_x[x], numbers[best])
 
 
 @compiled
-def _heaviest(
+def _pixels_of(index: int, blocks: int, step: int, count: int) -> tuple[int, int]:
+    """First and end of the pixels, of a line of ``count``, nearest to a downsampled one of ``blocks``."""
+    first = max(index * step - step // 2, 0)
+    return first, count if index == blocks - 1 else min((index + 1) * step - step // 2, count)
+
+
+@compiled
+def _add_weights(
     label: NDArray[np.int32],
     row: int,
     column: int,
-    odds: float,
-    along_y: FloatArray,
-    along_x: FloatArray,
+    of_y: FloatArray,
+    of_x: FloatArray,
     numbers: NDArray[np.int32],
     sums: FloatArray,
 ) -> int:
-    """Number of the segment that weighs most about a downsampled pixel; its own, times ``odds``, wins ties.
+    """Count the segments about a downsampled pixel, and write their numbers, its own first, and weights.
 
-    The last two arguments are scratch.
+    Weights along both axes have the shape (2 reach + 1, n_pixels), their sums (n_segments, n_pixels).
     """
     n_y, n_x = label.shape
-    reach, count = along_y.size // 2, 1
+    side, count = of_y.shape[0], 1
     numbers[0], sums[0] = label[row, column], 0.0
-    for j in range(along_y.size):
-        for i in range(along_x.size):
-            number = label[min(max(row + j - reach, 0), n_y - 1), min(max(column + i - reach, 0), n_x - 1)]
+    for j in range(side):
+        for i in range(side):
+            number = label[min(max(row + j - side // 2, 0), n_y - 1), min(max(column + i - side // 2, 0), n_x - 1)]
             k = 0
             while k < count and numbers[k] != number:
                 k += 1
             if k == count:
                 numbers[k], sums[k] = number, 0.0
                 count += 1
-            sums[k] += along_y[j] * along_x[i]
-    best = 0
-    sums[0] *= odds
-    for k in range(1, count):
-        if sums[k] > sums[best] * (1.0 + 1e-9):
-            best = k
-    return int(numbers[best])
+            total, down, across = sums[k], of_y[j], of_x[i]
+            for place in range(total.size):
+                total[place] += down[place] * across[place]
+    return count
 
 
 @compiled

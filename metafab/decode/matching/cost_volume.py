@@ -23,7 +23,7 @@ class CostVolume:
     """Products of the filtered twin images a and b at each candidate depth."""
 
     vergences_per_m: FloatArray  #: Shape (n,), 1/depth of the candidates, equally spaced.
-    products: NDArray[np.float32]  #: Shape (3, n, n_y, n_x): a b, a^2 and b^2.
+    products: NDArray[np.float32]  #: Shape (3, n, n_y, n_x), contiguous: a b, a^2 and b^2.
     samples: float  #: Independent samples a pixel.
     noise_gain: float  #: Variance of a filtered image per variance of a pixel of the frame.
 
@@ -38,8 +38,8 @@ class CostVolume:
         return float(self.vergences_per_m[1] - self.vergences_per_m[0])
 
     def within(self, rows: slice, columns: slice) -> CostVolume:
-        """A part of the pictures."""
-        return replace(self, products=self.products[:, :, rows, columns])
+        """A part of the pictures, copied once: loops over contiguous lines are two to three times as fast."""
+        return replace(self, products=np.ascontiguousarray(self.products[:, :, rows, columns]))
 
     def halved(self) -> CostVolume:
         """The volume at every second pixel, smoothed."""

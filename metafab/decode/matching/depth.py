@@ -243,27 +243,45 @@ def _half_step_weights(count: int) -> NDArray[np.float32]:
 
 @compiled
 def _row_means(
-    picture: NDArray[np.float32], row: int, reach: int, padded: NDArray[np.float32], out: NDArray[np.float32]
+    products: NDArray[np.float32],
+    v: int,
+    row: int,
+    reach: int,
+    padded: NDArray[np.float32],
+    out: NDArray[np.float32],
 ) -> None:
-    """Write the means of a picture (n_y, n_x) over the windows about one row's pixels; ``padded``: n_x + 2 reach."""
-    n_y, n_x = picture.shape
-    column_sum = padded[reach : reach + n_x]
-    column_sum[:] = np.float32(0.0)
+    """Write the means of products (3, n, n_y, n_x) of candidate ``v`` over the windows about a row's pixels: (3, n_x).
+
+    ``padded``, shape (3, n_x + 2 reach), is scratch. All three at once: additions to a single sum wait for one another.
+    """
+    _, _, n_y, n_x = products.shape
+    padded[:] = np.float32(0.0)
     for i in range(row - reach, row + reach + 1):
-        line = picture[mirrored(i, n_y)]
-        for j in range(n_x):
-            column_sum[j] += line[j]
+        at = mirrored(i, n_y)
+        for p in range(3):
+            line, column_sum = products[p, v, at], padded[p, reach : reach + n_x]
+            for j in range(n_x):
+                column_sum[j] += line[j]
     for j in range(reach):
-        padded[reach - 1 - j] = column_sum[mirrored(-1 - j, n_x)]
-        padded[reach + n_x + j] = column_sum[mirrored(n_x + j, n_x)]
-    total = 0.0
+        before, after = reach + mirrored(-1 - j, n_x), reach + mirrored(n_x + j, n_x)
+        for p in range(3):
+            padded[p, reach - 1 - j], padded[p, reach + n_x + j] = padded[p, before], padded[p, after]
+    of_x, of_y, of_z = padded[0], padded[1], padded[2]
+    x = y = z = 0.0
     for j in range(2 * reach):
-        total += padded[j]
+        x += of_x[j]
+        y += of_y[j]
+        z += of_z[j]
     share = 1.0 / (2 * reach + 1) ** 2
+    new_x, new_y, new_z = of_x[2 * reach :], of_y[2 * reach :], of_z[2 * reach :]
     for j in range(n_x):
-        total += padded[j + 2 * reach]
-        out[j] = np.float32(total * share)
-        total -= padded[j]
+        x += new_x[j]
+        y += new_y[j]
+        z += new_z[j]
+        out[0, j], out[1, j], out[2, j] = np.float32(x * share), np.float32(y * share), np.float32(z * share)
+        x -= of_x[j]
+        y -= of_y[j]
+        z -= of_z[j]
 
 
 @compiled
@@ -279,18 +297,20 @@ def _best_candidates(
 ) -> None:
     _, count, _, n_x = products.shape
     for i in range(first, stop):
-        padded = np.empty(n_x + 2 * reach, dtype=np.float32)
+        padded = np.empty((3, n_x + 2 * reach), dtype=np.float32)
         means = np.empty((3, n_x), dtype=np.float32)
-        rho = np.empty((count, n_x), dtype=np.float32)
+        rho, largest = np.empty((count, n_x), dtype=np.float32), np.empty(n_x, dtype=np.float32)
         for v in range(count):
-            for p in range(3):
-                _row_means(products[p, v], i, reach, padded, means[p])
+            _row_means(products, v, i, reach, padded, means)
+            both, x, y, of_v = means[0], means[1], means[2], rho[v]
+            # A loop each for roots and quotients, which are vectorised, and for the choice.
             for j in range(n_x):
-                norm = np.sqrt(max(means[1, j], np.float32(0.0))) * np.sqrt(max(means[2, j], np.float32(0.0)))
-                rho[v, j] = means[0, j] / max(norm, np.float32(_DARK))
-                largest_product[i, j] = max(means[0, j], largest_product[i, j]) if v > 0 else means[0, j]
-                if rho[v, j] > rho[best[i, j], j]:
-                    best[i, j] = v
+                norm = np.sqrt(max(x[j], np.float32(0.0))) * np.sqrt(max(y[j], np.float32(0.0)))
+                of_v[j] = both[j] / max(norm, np.float32(_DARK))
+            for j in range(n_x):
+                largest_product[i, j] = max(both[j], largest_product[i, j]) if v > 0 else both[j]
+                if v == 0 or of_v[j] > largest[j]:
+                    best[i, j], largest[j] = v, of_v[j]
         for j in range(n_x):
             inner = min(max(best[i, j], 1), count - 2)
             for d in range(3):

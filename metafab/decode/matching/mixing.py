@@ -22,7 +22,7 @@ def mixed_products(
         lit: shape (n_y, n_x); the products of blocks without a lit pixel are 0.
 
     Returns:
-        Shape (3, n_mixtures, n_y, n_x).
+        Shape (3, n_mixtures, n_y, n_x), contiguous.
     """
     wanted = square_blocks_with(lit, block)
     rows, columns = lit.shape
@@ -32,7 +32,7 @@ def mixed_products(
     shape = (3, weights.shape[3], wanted.shape[0] * block, wanted.shape[1] * block)
     products = np.zeros(shape, dtype=np.float32)
     spread(_mixed_products, wanted.shape[0], images, weights, block, wanted, products)
-    return products[..., :rows, :columns]
+    return np.ascontiguousarray(products[..., :rows, :columns])
 
 
 def square_blocks_with(mask: NDArray[np.bool_], block: int) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""Means over windows and sums over labels, of many pictures at once."""
+"""Means and maxima over windows and sums over labels, of many pictures at once."""
 
 from __future__ import annotations
 
@@ -42,23 +42,35 @@ def _window_means(first: int, stop: int, pictures: NDArray[np.float32], reach: i
     source = np.empty(n_x + 2 * reach, dtype=np.int64)
     for k in range(source.size):
         source[k] = mirrored(k - reach, n_x)
+    # Running sums along mirrored rows: running[row, k] holds the first k values. Four rows at once: additions to a
+    # single sum wait for one another.
+    column_sums, running = np.empty((4, n_x), dtype=np.float64), np.zeros((4, source.size + 1), dtype=np.float64)
     for p in range(first, stop):
         column_sum = np.zeros(n_x, dtype=np.float64)
-        running = np.empty(source.size + 1, dtype=np.float64)
         for i in range(-reach, reach + 1):
-            row = mirrored(i, n_y)
+            line = pictures[p, mirrored(i, n_y)]
             for j in range(n_x):
-                column_sum[j] += pictures[p, row, j]
-        for i in range(n_y):
-            # Running sums along the mirrored row: running[k] holds the first k values.
-            running[0] = 0.0
+                column_sum[j] += line[j]
+        for top in range(0, n_y, 4):
+            rows = min(4, n_y - top)
+            for row in range(rows):
+                column_sums[row] = column_sum
+                old = pictures[p, mirrored(top + row - reach, n_y)]
+                new = pictures[p, mirrored(top + row + reach + 1, n_y)]
+                for j in range(n_x):
+                    column_sum[j] += np.float64(new[j]) - np.float64(old[j])
+            a = b = c = d = 0.0
             for k in range(source.size):
-                running[k + 1] = running[k] + column_sum[source[k]]
-            for j in range(n_x):
-                out[p, i, j] = np.float32((running[j + 2 * reach + 1] - running[j]) * share)
-            old, new = mirrored(i - reach, n_y), mirrored(i + reach + 1, n_y)
-            for j in range(n_x):
-                column_sum[j] += np.float64(pictures[p, new, j]) - np.float64(pictures[p, old, j])
+                j = source[k]
+                a += column_sums[0, j]
+                b += column_sums[1, j]
+                c += column_sums[2, j]
+                d += column_sums[3, j]
+                running[0, k + 1], running[1, k + 1], running[2, k + 1], running[3, k + 1] = a, b, c, d
+            for row in range(rows):
+                low, high, to = running[row], running[row, 2 * reach + 1 :], out[p, top + row]
+                for j in range(n_x):
+                    to[j] = np.float32((high[j] - low[j]) * share)
 
 
 def window_maxima(picture: NDArray[Value], window: int) -> NDArray[Value]:
@@ -77,6 +89,14 @@ def window_maxima(picture: NDArray[Value], window: int) -> NDArray[Value]:
             largest, side = both if axis == 0 else both.T, side + step
         picture = largest
     return picture
+
+
+def opened_by_square(mask: NDArray[np.bool_], window: int) -> NDArray[np.bool_]:
+    """Pixels of a mask, shape (n_y, n_x), in the squares of odd side ``window`` that lie in it: the same shape."""
+    reach = window // 2
+    inner = slice(reach, -reach or None)
+    outside = np.pad(~mask, reach, constant_values=True)
+    return window_maxima(~window_maxima(outside, window)[inner, inner], window)
 
 
 def halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:

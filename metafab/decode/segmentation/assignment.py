@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_opening, find_objects
+from scipy.ndimage import find_objects
 
 from metafab.core.numeric.distance import distance
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
+from metafab.decode.matching.pooling import opened_by_square
 from metafab.decode.segmentation.continuous.doubt import right_depth
 from metafab.decode.segmentation.continuous.surface import matched_surface
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, fit_plane, ransac_planes
@@ -71,9 +72,11 @@ class Segmentation:
         """
         pixels, window = self.pixels, self.prepared.window
         shape = pixels.claimed.shape
-        away = np.min([np.abs(pixels.vergence_per_m - plane.over(shape)) for plane in planes], axis=0)
+        away = np.full(shape, np.inf)
+        for plane in planes:
+            np.minimum(away, np.abs(pixels.vergence_per_m - plane.over(shape)), out=away)
         doubt = 0.5 * self.separation_per_m + 2.0 * pixels.relative_error * pixels.vergence_per_m
-        off_planes = binary_opening(pixels.claimed & (away > doubt), np.ones((window, window), dtype=bool))
+        off_planes = opened_by_square(pixels.claimed & (away > doubt), window)
         depths = depth_layers(replace(pixels, claimed=off_planes), self.separation_per_m).tolist()
         near = distance(off_planes) <= window
         allowed = np.stack([np.ones(shape, dtype=bool)] * len(planes) + [near] * len(depths))

@@ -59,27 +59,37 @@ def _threshold_round(
     """Write the layer of the largest sum of score and share of the window about each pixel; mirrored at edges."""
     count, n_y, n_x = scores.shape
     share = np.float32(1.0 / (2 * reach + 1) ** 2)
+    source = np.empty(n_x + 2 * reach, dtype=np.int64)
+    for k in range(source.size):
+        source[k] = mirrored(k - reach, n_x)
+    # Number of pixels of each layer in each column of the window, and their sums up to a column, mirrored at the edges.
+    columns, until = np.zeros((count, n_x), dtype=np.int32), np.zeros(source.size + 1, dtype=np.int32)
+    largest, best = np.empty(n_x, dtype=np.float32), np.empty(n_x, dtype=np.int32)
+    for m in range(first - reach, first + reach):
+        _count_row(layer, counted, mirrored(m, n_y), 1, columns)
     for i in range(first, stop):
-        # Number of pixels of each layer in each column of the window, mirrored at the edges, and in the whole window.
-        columns = np.zeros((count, n_x + 2 * reach), dtype=np.int32)
-        inside = np.zeros(count, dtype=np.int32)
-        for m in range(i - reach, i + reach + 1):
-            row = mirrored(m, n_y)
-            for j in range(n_x):
-                if counted[row, j]:
-                    columns[layer[row, j], reach + j] += 1
+        _count_row(layer, counted, mirrored(i + reach, n_y), 1, columns)
+        largest[:], best[:] = np.float32(-np.inf), 0
+        # Layer by layer: the loop over a row's pixels is vectorised.
         for k in range(count):
-            for j in range(reach):
-                columns[k, reach - 1 - j] = columns[k, reach + mirrored(-1 - j, n_x)]
-                columns[k, reach + n_x + j] = columns[k, reach + mirrored(n_x + j, n_x)]
-            for j in range(2 * reach):
-                inside[k] += columns[k, j]
-        for j in range(n_x):
-            best, largest = 0, np.float32(-np.inf)
-            for k in range(count):
-                inside[k] += columns[k, j + 2 * reach]
-                total = share * np.float32(inside[k]) + scores[k, i, j]
-                if total > largest:
-                    best, largest = k, total
-                inside[k] -= columns[k, j]
-            best_layer[i, j] = best
+            line, of_layer, beyond, total = columns[k], scores[k, i], until[2 * reach + 1 :], np.int32(0)
+            for j in range(source.size):
+                total += line[source[j]]
+                until[j + 1] = total
+            for j in range(n_x):
+                score = share * np.float32(beyond[j] - until[j]) + of_layer[j]
+                is_larger = score > largest[j]
+                best[j] = np.int32(k) if is_larger else best[j]
+                largest[j] = score if is_larger else largest[j]
+        best_layer[i] = best
+        _count_row(layer, counted, mirrored(i - reach, n_y), -1, columns)
+
+
+@compiled
+def _count_row(
+    layer: NDArray[np.intp], counted: NDArray[np.bool_], row: int, times: int, columns: NDArray[np.int32]
+) -> None:
+    """Add each counted pixel of a row to the number of its layer's pixels in its column, shape (n_layers, n_x)."""
+    for j in range(layer.shape[1]):
+        if counted[row, j]:
+            columns[layer[row, j], j] += times

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,6 +91,8 @@ class Plane:
 
     def over(self, shape: tuple[int, ...]) -> FloatArray:
         """1/depth at each pixel of a picture: shape ``shape``."""
+        if not self.tilted:
+            return np.broadcast_to(self.at(np.zeros(()), np.zeros(())), shape)
         row, column = np.ogrid[: shape[0], : shape[1]]
         return np.broadcast_to(self.at(row.astype(np.float64), column.astype(np.float64)), shape)
 
@@ -161,7 +164,9 @@ class Cells:
         segment = number // (down * across)
         for axis, middle in enumerate((middle_row, middle_column)):
             for rim, near in ((0, middle < side), (-1, middle >= label.shape[axis] - side)):
-                clear &= ~(near & np.isin(segment, label.take(rim, axis)))
+                reaching = np.zeros(count + 1, dtype=bool)
+                reaching[label.take(rim, axis)] = True
+                clear &= ~(near & reaching[segment])
         starts = np.searchsorted(segment, np.arange(1, count + 2))
         cells = []
         for start, stop in itertools.pairwise(starts.tolist()):
@@ -213,8 +218,7 @@ def fit_plane(cells: Cells) -> Plane | None:
     weight = 1.0 / cells.error_per_m[known] ** 2
     centre = float(np.average(row, weights=weight)), float(np.average(column, weights=weight))
     design = np.stack([np.ones(row.size), row - centre[0], column - centre[1]], axis=1)
-    triples = np.random.default_rng(0).integers(0, vergence.size, (_TRIPLES, 3))
-    solution, biweight, scale = _robust_plane(triples, design, vergence, np.sqrt(weight))
+    solution, biweight, scale = _robust_plane(_triples(vergence.size), design, vergence, np.sqrt(weight))
     if not np.isfinite(scale):
         return None
     normal = design.T @ (design * (weight * biweight)[:, None]) / scale**2
@@ -224,6 +228,14 @@ def fit_plane(cells: Cells) -> Plane | None:
     if float(slope @ slope_information @ slope) < _SIGNIFICANT**2 or rise < _SMALLEST_RISE * abs(solution[0]):
         return None
     return Plane(float(solution[0]), (float(slope[0]), float(slope[1])), centre)
+
+
+@lru_cache(maxsize=256)
+def _triples(count: int) -> NDArray[np.int64]:
+    """Random triples of ``count`` cells: shape (n_triples, 3), read-only."""
+    triples = np.random.default_rng(0).integers(0, count, (_TRIPLES, 3))
+    triples.flags.writeable = False
+    return triples
 
 
 @compiled
@@ -428,17 +440,27 @@ def distinct_planes(planes: list[Plane], label: NDArray[np.int32], separation_pe
     """
     sizes = np.bincount(label.ravel(), minlength=len(planes) + 1)[1:]
     kept: list[int] = []
+    touching: dict[int, NDArray[np.bool_]] = {}
     for index in sorted(range(len(planes)), key=lambda k: (not planes[k].tilted, -sizes[k])):
-        mask = label == index + 1
-        box = box_about(mask, 2)
-        beside = label[box][binary_dilation(mask[box], iterations=2)] if mask.any() else label[box]
-        row, column = (axis.astype(np.float64) for axis in np.nonzero(mask))
-        vergence = planes[index].at(row, column)
-        if not any(
-            planes[other].tilted
-            and (beside == other + 1).any()
-            and np.median(np.abs(planes[other].at(row, column) - vergence)) < 0.5 * separation_per_m
-            for other in kept
-        ):
-            kept.append(index)
+        beside = [other for other, numbers in touching.items() if numbers[index + 1]]
+        if beside:
+            row, column = (axis.astype(np.float64) for axis in np.nonzero(label == index + 1))
+            vergence = planes[index].at(row, column)
+            away = [np.median(np.abs(planes[other].at(row, column) - vergence)) for other in beside]
+            if min(away) < 0.5 * separation_per_m:
+                continue
+        kept.append(index)
+        if planes[index].tilted:
+            touching[index] = _touching(label, index + 1, len(planes) + 1)
     return [planes[index] for index in sorted(kept)]
+
+
+def _touching(label: NDArray[np.int32], number: int, count: int) -> NDArray[np.bool_]:
+    """Whether a segment, of the numbers in ``label`` below ``count``, has pixels within two steps of that ``number``.
+
+    Shape (count,).
+    """
+    mask = label == number
+    box = box_about(mask, 2)
+    near = label[box][binary_dilation(mask[box], iterations=2)] if mask.any() else label[:0].ravel()
+    return np.asarray(np.bincount(near, minlength=count) > 0)

@@ -229,7 +229,7 @@ class PreparedFrame:
         weight[:, *self.downsampling.inner][:, self.spoiled] = 0.0
         return weight
 
-    @property
+    @cached_property
     def near_light(self) -> NDArray[np.bool_]:
         """Downsampled pixels near a lit one, at which images are deconvolved: shape (n_y, n_x)."""
         return near_light(self.lit)
