@@ -29,10 +29,10 @@ NOT_RUN = {
 }
 
 #: Keys of samples that are smaller in the clone, since they take most of the run: a library of 9 sizes in place of 56,
-#: PSFs at 9 field points in place of 35, and a quarter of the frame. No test reads figures of these runs.
+#: PSFs at 9 field points in place of 35, and half of the frame. No test reads figures of these runs.
 SMALLER = {
     "unitcell_lib/tio2_hexagonal_660nm.toml": (("[100.0, 240.0]", "[100.0, 220.0]"), ("= 20.0", "= 60.0")),
-    "layouts/helix_5cm.toml": (("points = [7, 5]", "points = [3, 3]"), ("px = [480, 960]", "px = [240, 480]")),
+    "layouts/helix_5cm.toml": (("points = [7, 5]", "points = [3, 3]"), ("px = [480, 960]", "px = [240, 960]")),
 }
 
 #: Pages whose Python no test follows, and why.
