@@ -19,7 +19,6 @@ from metafab.core.conventions import wrap_phase
 from metafab.core.parallel.executor import open_executor
 from metafab.library import Library, build_size_table
 from metafab.spec import UnitCell
-from tests.main_job import UNIT_CELL
 
 pytestmark = pytest.mark.slow
 
@@ -34,9 +33,9 @@ BARE = 4.0 * 1.7601 / 2.7601**2
 
 @pytest.fixture(scope="session")
 def paper_library(unit_cell: UnitCell) -> Library:
-    """The file of this code that the main job uses: the first to come builds it, about 13 s of processor time."""
+    """One build for all tests here: about 13 s of processor time."""
     with open_executor() as executor:
-        return library.build_file(unit_cell, UNIT_CELL.with_suffix(".h5"), executor=executor)
+        return library.build(unit_cell, executor=executor)
 
 
 def test_the_geometry_is_the_papers(unit_cell: UnitCell) -> None:
