@@ -203,8 +203,9 @@ def test_damaged_records_are_refused_whole(key: str, value: object, record: Expo
     assert load_record(tmp_path / "missing.json") is None
 
 
-def test_where_nothing_prints_there_are_no_sizes(lens: PillarMap) -> None:
+def test_where_nothing_prints_there_are_no_sizes() -> None:
     """Sizes off by 0.0 nm were stated of pillars that are not there, and doses were corrected in vain."""
+    lens = pattern(np.array([(150.0, 200.0), (120.0, 180.0)]), disc(90, 2))
     figures = expose(lens, BEAM, base_over_clearing_dose=0.05).figures
     assert figures.unprinted == figures.pillars
     sizes = (figures.cd_error_rms_nm, figures.cd_error_max_nm, figures.cd_bias_nm, figures.latitude_nm_per_percent)

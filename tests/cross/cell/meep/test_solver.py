@@ -75,19 +75,23 @@ def test_mirrors_save_time_and_change_nothing(pool: Pool) -> None:
 
 @pytest.mark.slow
 def test_pillars_agree_with_rcwa(pool: Pool) -> None:
-    """Three pillars: plain, from the air side, and one beside a guided-mode resonance (|t_xx|^2 < 0.03)."""
+    """Three pillars: a rectangle, a square from the air side, and one on a guided-mode resonance (|t_xx|^2 < 0.003).
+
+    A square needs one run a grid; the finest grid costs four times all others, so the rectangle goes without it.
+    """
+    square, on_resonance = (replace(EMPTY, width_nm=nm, length_nm=nm) for nm in (140.0, 210.0))
     cells = [
-        replace(EMPTY, width_nm=133.0, length_nm=199.0),
-        replace(EMPTY, width_nm=140.0, length_nm=140.0, side="ambient"),
-        replace(EMPTY, width_nm=150.0, length_nm=210.0),
+        (replace(EMPTY, width_nm=133.0, length_nm=199.0), (1, 2), 0.15),
+        (replace(square, side="ambient"), (1, 2, 3), 0.05),
+        (on_resonance, (1, 2, 3), 0.05),
     ]
-    settings = MeepSettings((1, 2, 3))
-    for cell in cells:
-        found = solve(cell, MEEP, settings, pool)
-        reference = rcwa.solve(found.cell, CellNumerics(target_error=1e-3))
+    for cell, members, largest in cells:
+        found = solve(cell, MEEP, MeepSettings(members), pool)
+        reference = rcwa.solve(cell, CellNumerics(target_error=1e-3))
         assert _difference(found, reference) <= found.error + reference.error
-        assert found.error < (0.2 if found.cell.width_nm == 150.0 else 0.05)
+        assert found.error < largest
         assert found.details.error_decay < 1e-3
+    assert abs(reference.t[0, 0]) ** 2 < 3e-3
 
 
 @pytest.mark.slow
@@ -98,7 +102,9 @@ def test_curved_sloped_and_layered_cells_agree_with_the_other_solvers(pool: Pool
     layers = {"under": (Slice(60.0, 1.9 + 0j, 1.9 + 0j),), "over": (Slice(50.0, 1.5 + 0j, 1.0 + 0j),)}
     sloped = replace(low, width_nm=200.0, length_nm=200.0, sidewall_angle_deg=80.0, side="ambient", **layers)
     for cell in (circle, sloped):
-        found, reference = solve(cell, MEEP, MeepSettings((1, 2)), pool), cell_solve(cell)
+        # RCWA of sloped walls takes 30 times as long to 2e-3 as to 3e-3, a sixth of the error of these grids.
+        reference = cell_solve(cell, CellNumerics(target_error=3e-3))
+        found = solve(cell, MEEP, MeepSettings((1, 2)), pool)
         assert _difference(found, reference) <= found.error + reference.error
         assert found.error < 0.02
         # A square pillar of that size without slope or layers is another cell.

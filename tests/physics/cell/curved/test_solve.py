@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 
 import pytest
 
-from metafab.cell import CellNumerics, PillarCell, solve
-from metafab.cell.curved import zero_order
+from metafab.cell import CellNumerics, PillarCell, curved, solve
 from metafab.cell.pillar import Slice
 from metafab.cell.rcwa.jones import distance
+
+zero_order = cache(curved.zero_order)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def orders_solved_once() -> Iterator[None]:
+    """The adaptive solver and the tests ask for the same orders of a cell; each is solved once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys.modules["metafab.cell.curved.solve"], "zero_order", zero_order)
+        yield
+
 
 CIRCLE = PillarCell(
     period_nm=(330.0, 330.0),

@@ -52,7 +52,7 @@ PROGRAMS = {
 }
 
 
-@pytest.fixture(params=[True, False], ids=["forked", "spawned"], autouse=True)
+@pytest.fixture(params=[True, False], ids=["forked", "spawned"])
 def start(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Both ways of starting workers; the first only where this process has no other threads."""
     if not request.param:
@@ -79,6 +79,7 @@ def _dies_at(value: int) -> int:
     return value * value
 
 
+@pytest.mark.usefixtures("start")
 def test_the_work_of_a_killed_worker_is_done_again(tmp_path: Path) -> None:
     jobs = [(value, tmp_path / "mark") for value in range(12)]
     with open_executor(2) as executor:
@@ -87,6 +88,7 @@ def test_the_work_of_a_killed_worker_is_done_again(tmp_path: Path) -> None:
         assert executor.submit(_squared, 7).result() == 49
 
 
+@pytest.mark.usefixtures("start")
 def test_a_piece_that_kills_every_worker_is_named_and_all_others_are_done() -> None:
     done: dict[int, int] = {}
     with open_executor(2) as executor:
@@ -103,12 +105,14 @@ def test_a_piece_that_kills_every_worker_is_named_and_all_others_are_done() -> N
     assert done == {value: value * value for value in range(10) if value != 5}
 
 
+@pytest.mark.usefixtures("start")
 def test_a_stream_stops_at_the_piece_and_leaves_no_process() -> None:
     with pytest.raises(WorkerLostError), open_executor(2) as executor:
         for _ in stream(executor, _dies_at, [5, 5, 5, 5]):
             pass
 
 
+@pytest.mark.usefixtures("start")
 def test_pieces_that_have_not_begun_can_be_cancelled() -> None:
     with open_executor(2) as executor:
         pieces = [executor.submit(time.sleep, 0.2) for _ in range(20)]
@@ -118,6 +122,7 @@ def test_pieces_that_have_not_begun_can_be_cancelled() -> None:
 
 
 @pytest.mark.alone
+@pytest.mark.usefixtures("start")
 @pytest.mark.parametrize("room", [0, 1, 2])
 def test_work_goes_on_where_the_system_refuses_processes(room: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A pool without one of its processes would leave the others, for which this process waits at its end."""

@@ -42,6 +42,9 @@ def coarse() -> Iterator[None]:
         patch.setattr(blocks, "BLOCK_KINDS", (((2, 2), True),))
         patch.setattr(growth, "SHAPES", (SMALL_SHAPE, SMALL_SHAPE))
         patch.setattr(growth, "STARTS", 1)
+        # Fits far from their end have all the stages of finished ones.
+        patch.setattr(growth, "_STAGE_STEPS", 6)
+        patch.setattr(growth, "_LAST_STEPS", 12)
         yield
 
 
