@@ -21,7 +21,15 @@ from metafab.core.parallel.progress import silent
 from metafab.decode.decoder import DecodedFrame, Decoder
 from metafab.decode.evaluation import evaluated
 from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
-from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track
+from metafab.decode.film.tracking import (
+    Part,
+    TrackedRegions,
+    continued_surface,
+    planes_around,
+    remeasured,
+    track,
+    with_planes_of_surface,
+)
 from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, focus_depths, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
@@ -119,7 +127,11 @@ class VideoDecoder:
             if len(regions.depths) > most_segments:
                 return None
             decoded = decoder.sharpen(prepared, volume, pixels, regions, decoder.tile_spectra(prepared))
-        return FilmState(decoded, self.decoder.image(decoded), self._detector.patch_means(frame), camera)
+        image, rounds = decoder.image(decoded), decoder.numerics.outline_rounds
+        regions = with_planes_of_surface(decoded.regions, prepared, volume, decoded.pixels, rounds)
+        if regions is not decoded.regions:
+            decoded = replace(decoded, regions=regions, maps=decoded.maps.with_segments(regions, prepared))
+        return FilmState(decoded, image, self._detector.patch_means(frame), camera)
 
     @cached_property
     def _detector(self) -> ChangeDetector:
@@ -141,7 +153,9 @@ class VideoDecoder:
             self.changed_share = share
             return last
         self._changes += 1
-        if self._changes in self.second_looks or self._changes % _LOOK_AGAIN == 0:
+        look_again = self._changes in self.second_looks or self._changes % _LOOK_AGAIN == 0
+        # The pieces of a continuous surface tell nothing of its depths, and to search for one takes ten frames' time.
+        if look_again and not last.decoded.regions.continuous:
             # Fewer segments of the same scene are the better segmentation.
             anew = self._anew(frame, last.camera, most_segments=len(last.decoded.regions.depths))
             if anew is not None:
@@ -206,14 +220,19 @@ class VideoDecoder:
         """Segments whose outlines in the parts stand where the contrast changes; ``regions`` if they all do."""
         downsampling = self.decoder.filters.downsampling
         for one, lit_here in zip(rectangles, lit, strict=True):
-            local = regions.within(*one.around)
+            # What is new in the part of a continuous surface lies on planes, whose outlines move as those of others.
+            local = replace(regions.within(*one.around), surface_per_m=None)
             sharp_part = sharp.within(*downsampling.frame_slices(*one.around))
             moved = moved_outlines(local, sharp_part, downsampling.step, lit_here, changed[one.around])
             if moved is not local:
                 arrays = {name: getattr(regions, name).copy() for name in ("label", "interior", "grown", "right")}
                 for name, array in arrays.items():
                     array[one.around] = getattr(moved, name)
-                regions = replace(regions, **arrays)
+                surface = None
+                if regions.surface_per_m is not None:
+                    surface = regions.surface_per_m.copy()
+                    surface[one.around] = continued_surface(surface[one.around], local.grown, moved.grown)
+                regions = replace(regions, **arrays, surface_per_m=surface)
         return regions
 
     def _lit(self, one: _Rectangle, sharp: SharpImages) -> NDArray[np.bool_]:
@@ -274,11 +293,19 @@ class VideoDecoder:
             pixels.claimed[part][renewed] = depth.claimed[inside][renewed]
             known = planes_around(regions, part, around, renewed, separation)
             numerics, here = self.decoder.numerics, pixels.within(*around)
-            # Segments that continue keep their depth: outliers are left out of the others once.
+            # Segments that continue keep their depth: outliers are left out of the others once. So do the planes of a
+            # continuous surface, whose depths show their slopes better.
             current = find_regions(
-                local, local_volume, here, known, numerics.outline_rounds, refined=numerics.refined, robust_rounds=1
+                local,
+                local_volume,
+                here,
+                known,
+                numerics.outline_rounds,
+                refined=numerics.refined,
+                slopes=not regions.continuous,
+                robust_rounds=1,
             )
-            tracked = track(regions, current, part, around, renewed, separation)
+            tracked = track(regions, current, here, part, around, renewed, separation)
             regions, number = tracked.regions, tracked.number[number]
         return pixels, TrackedRegions(regions, number)
 
