@@ -13,29 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
-from metafab.core.numeric.distance import nearest
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.registration.downsampling import relative_slices
-from metafab.decode.segmentation.assignment import Segmentation, measured_again
-from metafab.decode.segmentation.fit import robust_fit
-from metafab.decode.segmentation.planes import Cells, Plane, cell_side, distinct_planes, ransac_planes
-from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
-from metafab.decode.segmentation.segments import Regions, SegmentDepth, adjacency, grown
-from metafab.decode.segmentation.surfaces import layer_separation_per_m
+from metafab.decode.segmentation.assignment import measured_again
+from metafab.decode.segmentation.planes import Cells, Plane, distinct_planes
+from metafab.decode.segmentation.segments import FEWEST_PX, Regions, SegmentDepth, dilated
 
 Part = tuple[slice, slice]
 
 #: A segment continues one of the last frame if at least this share and this number of its pixels of unchanged light
 #: lie on that one.
 _CONTINUED_SHARE, _FEWEST_CONTINUED = 0.5, 9
-#: Cells of a continuous surface: their side, frame pixels, and their error in separations of its planes; and this
-#: separation in that of layers. Then: most separations that a plane crosses within a cell.
-_SURFACE_CELL_PX, _CELL_ERROR, _SURFACE_SEPARATION, _SURFACE_STEEPEST = 30, 0.1, 0.5, 6.0
-#: Distance from a neighbour's plane within which a segment of a surface is part of it, in separations of layers.
-_ONE_PLANE = 0.25
-#: Least width of a segment that shows a slope across it, frame pixels: two windows.
-_WIDE_PX = 2 * WINDOW_PX
 #: Growth of a segment's pixels from which its depth is measured again.
 _GROWTH = 1.25
 
@@ -48,85 +37,6 @@ class TrackedRegions:
     #: Shape (n_last + 1,), present number of each segment of the last frame, by its number there (0 for none); 0 for
     #: one that has gone.
     number: NDArray[np.int32]
-
-
-def with_planes_of_surface(
-    regions: Regions, prepared: PreparedFrame, volume: CostVolume, pixels: PixelDepth, outline_rounds: int
-) -> Regions:
-    """A continuous surface with segments on the planes that most of it lies on; other segments stay as they are.
-
-    The segments of a surface are only pieces, whose planes may be far from its depths. What comes to light beside them
-    in the next frames needs the planes. The surface has less noise than cells, and shows tilts that layers hide.
-    """
-    if regions.surface_per_m is None:
-        return regions
-    step, separation = prepared.downsampling.step, layer_separation_per_m(volume)
-    narrow = _SURFACE_SEPARATION * separation
-    cells = Cells.of(volume, pixels.claimed & (regions.grown > 0), step, _SURFACE_CELL_PX)
-    at = np.rint(cells.row).astype(np.intp), np.rint(cells.column).astype(np.intp)
-    error = np.full(at[0].shape, _CELL_ERROR * narrow)
-    cells = replace(cells, vergence_per_m=regions.surface_per_m[at], error_per_m=error)
-    planes = ransac_planes(cells, cell_side(step, _SURFACE_CELL_PX), narrow, _SURFACE_STEEPEST)
-    if not planes:
-        return regions
-    on_surface = replace(pixels, vergence_per_m=regions.surface_per_m)
-    found = Segmentation(prepared, volume, on_surface, separation, outline_rounds).of_planes(planes)
-    if not found.depths:
-        return regions
-    everywhere = np.where(regions.grown > 0, grown(found.grown), 0).astype(np.int32)
-    found = replace(found, grown=everywhere, right=regions.right, surface_per_m=regions.surface_per_m)
-    return _joined(_on_surface(found, step), separation, step)
-
-
-def _on_surface(regions: Regions, step: int) -> Regions:
-    """Segments at the planes through the depths of their continuous surface, in their interiors."""
-    depths, surface = list(regions.depths), regions.surface_per_m
-    for number, depth in enumerate(depths, start=1):
-        inside = regions.interior == number
-        if surface is None or np.count_nonzero(inside) * step**2 < WINDOW_PX**2:
-            continue
-        axes = [axis.astype(np.float64) for axis in np.nonzero(inside)]
-        vergence, middle = surface[inside], float(np.median(surface[inside]))
-        error = max(1.48 * float(np.median(np.abs(vergence - middle))), 1e-9)
-        centre = float(axes[0].mean()), float(axes[1].mean())
-        # Windows along an outline mix both sides: a narrow segment shows no slope across it.
-        wide = [float(np.ptp(axis)) * step >= _WIDE_PX for axis in axes]
-        columns = [np.ones_like(vergence), *(k * (axis - c) for k, axis, c in zip(wide, axes, centre, strict=True))]
-        rise, y, x = robust_fit(np.stack(columns, axis=1) / error, (vergence - middle) / error)[1].tolist()
-        plane = Plane(middle + rise, (y, x), centre)
-        depths[number - 1] = replace(depth, plane=plane, vergence_per_m=plane.vergence_per_m)
-    return replace(regions, depths=tuple(depths))
-
-
-def _joined(regions: Regions, separation_per_m: float, step: int) -> Regions:
-    """Segments of a continuous surface, of which those on the plane of a larger neighbour are part of that."""
-    surface, count = regions.surface_per_m, len(regions.depths) + 1
-    sizes, touching = np.bincount(regions.grown.ravel(), minlength=count), adjacency(regions.grown, count)
-    target = np.arange(count, dtype=np.int32)
-    planes = [depth.plane.over(regions.grown.shape) for depth in regions.depths]
-    smallest_first: list[int] = (1 + np.argsort(sizes[1:], kind="stable")).tolist()
-    for number in smallest_first if surface is not None else ():
-        own = regions.grown == number
-        larger = [k for k in np.flatnonzero(touching[number] & (sizes > sizes[number])).tolist() if k > 0]
-        away = [float(np.median(np.abs(planes[k - 1][own] - surface[own]))) for k in larger]
-        if away and min(away) < _ONE_PLANE * separation_per_m:
-            target[number] = larger[int(np.argmin(away))]
-    for number in reversed(smallest_first):
-        target[number] = target[target[number]]
-    stays = target == np.arange(count)
-    if stays.all():
-        return regions
-    number = (np.cumsum(stays) - 1).astype(np.int32)[target]
-    joined = replace(
-        regions,
-        depths=tuple(depth for depth, stay in zip(regions.depths, stays[1:].tolist(), strict=True) if stay),
-        label=number[regions.label],
-        interior=number[regions.interior],
-        grown=number[regions.grown],
-    )
-    inside = np.bincount(joined.interior.ravel(), minlength=len(joined.depths) + 1)[1:].tolist()
-    depths = tuple(replace(depth, pixels=float(n)) for depth, n in zip(joined.depths, inside, strict=True))
-    return _on_surface(replace(joined, depths=depths), step)
 
 
 def planes_around(
@@ -156,12 +66,14 @@ def track(
     surroundings: Part,
     affected: NDArray[np.bool_],
     separation_per_m: float,
+    step: int,
 ) -> TrackedRegions:
     """Replace the affected pixels of a part of the last frame's segments by the current ones.
 
-    Current segments are those of the surroundings, with the depths ``pixels`` of their pixels. Segments that continue keep their numbers. All other pixels of the
-    part keep their segments: new noise moves no outline. The arguments are those of :func:`planes_around`; ``affected``
-    has the shape (n_y, n_x) of the part.
+    Current segments are those of the surroundings, ``pixels`` the depths of the pixels there. Segments that continue
+    keep their numbers. All other pixels of the part keep their segments: new noise moves no outline. The arguments are
+    those of :func:`planes_around`; ``affected`` has the shape (n_y, n_x) of the part, ``step`` is the frame pixels
+    from one downsampled pixel to the next.
     """
     inside, count = relative_slices(part, surroundings), len(last.depths)
     continued = _continued(last, current, pixels, part, surroundings, affected, separation_per_m)
@@ -206,28 +118,62 @@ def track(
     if last.continuous or current.continuous:
         # The probabilities of a continuous surface are those of its own depths, not of the planes across it.
         surface = last.vergence_per_m(last.grown) if last.surface_per_m is None else last.surface_per_m.copy()
-        new = (current if current.continuous else regions.within(*surroundings)).vergence_per_m(
-            current.grown if current.continuous else grown_label[surroundings]
-        )[inside]
+        if current.continuous:
+            new = current.vergence_per_m(current.grown)[inside]
+        else:
+            local = regions.within(*part)
+            new = local.vergence_per_m(local.grown)
         surface[part] = np.where(affected & np.isfinite(new), new, surface[part])
         regions = replace(regions, surface_per_m=surface)
-    return TrackedRegions(regions, of_last)
+    joined, of_tracked = without_slivers(regions, pixels, part, surroundings, FEWEST_PX / step**2)
+    return TrackedRegions(joined, of_tracked[of_last])
 
 
-def continued_surface(surface_per_m: FloatArray, before: NDArray[np.int32], owner: NDArray[np.int32]) -> FloatArray:
-    """A surface on which pixels that changed their segment have the depth of the new one's nearest pixel.
+def without_slivers(
+    regions: Regions, pixels: PixelDepth, part: Part, surroundings: Part, fewest: float
+) -> tuple[Regions, NDArray[np.int32]]:
+    """Segments of which those too small for one are joined to the neighbour whose depth their pixels fit best.
+
+    What moves on leaves slivers of segments behind. Only those inside the part are joined, of which the image is made
+    anew. Their pixels on a continuous surface keep their own depths.
 
     Args:
-        surface_per_m: shape (n_y, n_x), 1/depth of each pixel.
-        before: shape (n_y, n_x), segment of each pixel there.
-        owner: shape (n_y, n_x), its new segment.
+        pixels: depths of the pixels in the surroundings.
+        part: changed part of the window, slices in downsampled pixels.
+        surroundings: the part with the pixels around it.
+        fewest: pixels of the smallest segment.
+
+    Returns:
+        The segments, and the number there of each segment before: shape (n_segments + 1,).
     """
-    moved, surface = (owner != before) & (owner > 0), surface_per_m.copy()
-    for number in np.unique(owner[moved]).tolist():
-        to = moved & (owner == number)
-        _, row, column = nearest((before == number) & (owner == number))
-        surface[to] = surface_per_m[row[to], column[to]]
-    return surface
+    count = len(regions.depths) + 1
+    sizes, in_part = (np.bincount(one.ravel(), minlength=count) for one in (regions.grown, regions.grown[part]))
+    small = (sizes < fewest) & (in_part == sizes) & (sizes > 0) & ~regions.of_outline
+    target = np.arange(count, dtype=np.int32)
+    around = regions.grown[surroundings]
+    for number in np.flatnonzero(small[1:]) + 1:
+        own = around == number
+        beside = [k for k in np.unique(around[dilated(own) & ~own]).tolist() if k > 0 and not small[k]]
+        if not beside:
+            continue
+        judged = own & pixels.claimed if (own & pixels.claimed).any() else own
+        place = [axis.astype(np.float64) for axis in np.nonzero(judged)]
+        whole = [axis + at.start for axis, at in zip(place, surroundings, strict=True)]
+        measured = pixels.vergence_per_m[judged]
+        away = [float(np.median(np.abs(regions.depths[k - 1].plane.at(*whole) - measured))) for k in beside]
+        target[number] = beside[int(np.argmin(away))]
+    stays = target == np.arange(count)
+    renumbered = (np.cumsum(stays) - 1).astype(np.int32)[target]
+    if stays.all():
+        return regions, renumbered
+    joined = replace(
+        regions,
+        depths=tuple(depth for depth, stay in zip(regions.depths, stays[1:].tolist(), strict=True) if stay),
+        label=renumbered[regions.label],
+        interior=np.where(stays, renumbered, 0)[regions.interior].astype(np.int32),
+        grown=renumbered[regions.grown],
+    )
+    return joined, renumbered
 
 
 def _right(regions: Regions) -> FloatArray | None:
@@ -270,10 +216,15 @@ def _continued(
 def remeasured(regions: Regions, volume: CostVolume, step: int) -> Regions:
     """Measure the depths of segments again that have become much larger; ``regions`` itself if there are none.
 
+    The tilted planes of a continuous surface stay: its own depths, which they were fitted to, show slopes better.
     The cost volume is that of the whole window, ``step`` the frame pixels from one downsampled pixel to the next.
     """
     sizes = np.bincount(regions.interior.ravel(), minlength=len(regions.depths) + 1)[1:]
-    larger = [index for index, one in enumerate(regions.depths) if sizes[index] > _GROWTH * one.pixels]
+    larger = [
+        index
+        for index, one in enumerate(regions.depths)
+        if sizes[index] > _GROWTH * one.pixels and not (regions.continuous and one.plane.tilted)
+    ]
     if not larger:
         return regions
     number = np.zeros(sizes.size + 1, dtype=np.int32)

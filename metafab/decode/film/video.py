@@ -21,19 +21,13 @@ from metafab.core.parallel.progress import silent
 from metafab.decode.decoder import DecodedFrame, Decoder
 from metafab.decode.evaluation import evaluated
 from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
-from metafab.decode.film.tracking import (
-    Part,
-    TrackedRegions,
-    continued_surface,
-    planes_around,
-    remeasured,
-    track,
-    with_planes_of_surface,
-)
+from metafab.decode.film.surface_planes import continued_surface, with_planes_of_surface
+from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track
 from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, focus_depths, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import SharpImages, TileSpectra
+from metafab.decode.images.own_depths import seen_elsewhere
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.registration.downsampling import relative_slices, repeated
@@ -123,7 +117,8 @@ class VideoDecoder:
         if most_segments is None:
             decoded = decoder.complete(prepared, volume)
         else:
-            pixels, regions = decoder.segment(prepared, volume)
+            # The first frame of this scene showed no continuous surface, and to search for one takes ten frames' time.
+            pixels, regions = decoder.segment(prepared, volume, surfaces=False)
             if len(regions.depths) > most_segments:
                 return None
             decoded = decoder.sharpen(prepared, volume, pixels, regions, decoder.tile_spectra(prepared))
@@ -305,7 +300,12 @@ class VideoDecoder:
                 slopes=not regions.continuous,
                 robust_rounds=1,
             )
-            tracked = track(regions, current, here, part, around, renewed, separation)
+            if regions.continuous and not current.continuous and current.right is not None:
+                # The image of a surface leaves out that doubt, because its pixels have their own depths: these do not.
+                vergence, step = current.vergence_per_m(current.grown), local.downsampling.step
+                elsewhere = seen_elsewhere(here, current.grown, vergence, step)
+                current = replace(current, right=np.minimum(current.right, 1.0 - elsewhere))
+            tracked = track(regions, current, here, part, around, renewed, separation, local.downsampling.step)
             regions, number = tracked.regions, tracked.number[number]
         return pixels, TrackedRegions(regions, number)
 

@@ -83,6 +83,7 @@ def find_regions(
     *,
     refined: bool = True,
     slopes: bool = True,
+    surfaces: bool = True,
     robust_rounds: int = ROBUST_ROUNDS,
     optics: LayerOptics | None = None,
     filters: CrossFilters | None = None,
@@ -97,12 +98,15 @@ def find_regions(
         outline_rounds: most rounds of the refinement of outlines.
         refined: whether to separate layers by noise, leave outliers out of depths, and compute that probability.
         slopes: whether a refined segmentation measures slopes along their planes.
+        surfaces: whether a refined segmentation seeks continuous surfaces.
         robust_rounds: most rounds of leaving outliers out.
         optics: the pair, for outlines by the model of the frame, and for small objects; without, outlines stay where
             correlation puts them.
         filters: matched filters, for the depth of segments much dimmer than others; without, it is not measured again.
     """
-    segments = first_segments(prepared, volume, pixels, known, outline_rounds, refined=refined, slopes=slopes)
+    segments = first_segments(
+        prepared, volume, pixels, known, outline_rounds, refined=refined, slopes=slopes, surfaces=surfaces
+    )
     if segments.continuous:  # Each pixel has its own depth and probability.
         return segments
     regions = with_plain_objects(segments, prepared, volume)
