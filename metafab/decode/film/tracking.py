@@ -61,22 +61,21 @@ def planes_around(
 def track(
     last: Regions,
     current: Regions,
-    pixels: PixelDepth,
     part: Part,
     surroundings: Part,
     affected: NDArray[np.bool_],
     separation_per_m: float,
-    step: int,
+    pixels: PixelDepth | None = None,
 ) -> TrackedRegions:
     """Replace the affected pixels of a part of the last frame's segments by the current ones.
 
-    Current segments are those of the surroundings, ``pixels`` the depths of the pixels there. Segments that continue
-    keep their numbers. All other pixels of the part keep their segments: new noise moves no outline. The arguments are
-    those of :func:`planes_around`; ``affected`` has the shape (n_y, n_x) of the part, ``step`` is the frame pixels
-    from one downsampled pixel to the next.
+    Current segments are those of the surroundings. Segments that continue keep their numbers. All other pixels of the
+    part keep their segments: new noise moves no outline. The arguments are those of :func:`planes_around`; ``affected``
+    has the shape (n_y, n_x) of the part. A segment continues one whose plane its own is near, or the depths ``pixels``
+    of its pixels in the surroundings.
     """
     inside, count = relative_slices(part, surroundings), len(last.depths)
-    continued = _continued(last, current, pixels, part, surroundings, affected, separation_per_m)
+    continued = _continued(last, current, part, surroundings, affected, separation_per_m, pixels)
     sizes, changed = (
         np.bincount(one, minlength=count + 1)[1:] for one in (last.grown.ravel(), last.grown[part][affected])
     )
@@ -125,13 +124,12 @@ def track(
             new = local.vergence_per_m(local.grown)
         surface[part] = np.where(affected & np.isfinite(new), new, surface[part])
         regions = replace(regions, surface_per_m=surface)
-    joined, of_tracked = without_slivers(regions, pixels, part, surroundings, FEWEST_PX / step**2)
-    return TrackedRegions(joined, of_tracked[of_last])
+    return TrackedRegions(regions, of_last)
 
 
 def without_slivers(
-    regions: Regions, pixels: PixelDepth, part: Part, surroundings: Part, fewest: float
-) -> tuple[Regions, NDArray[np.int32]]:
+    tracked: TrackedRegions, pixels: PixelDepth, part: Part, surroundings: Part, step: int
+) -> TrackedRegions:
     """Segments of which those too small for one are joined to the neighbour whose depth their pixels fit best.
 
     What moves on leaves slivers of segments behind. Only those inside the part are joined, of which the image is made
@@ -141,11 +139,9 @@ def without_slivers(
         pixels: depths of the pixels in the surroundings.
         part: changed part of the window, slices in downsampled pixels.
         surroundings: the part with the pixels around it.
-        fewest: pixels of the smallest segment.
-
-    Returns:
-        The segments, and the number there of each segment before: shape (n_segments + 1,).
+        step: frame pixels from one downsampled pixel to the next.
     """
+    regions, fewest = tracked.regions, FEWEST_PX / step**2
     count = len(regions.depths) + 1
     sizes, in_part = (np.bincount(one.ravel(), minlength=count) for one in (regions.grown, regions.grown[part]))
     small = (sizes < fewest) & (in_part == sizes) & (sizes > 0) & ~regions.of_outline
@@ -165,7 +161,7 @@ def without_slivers(
     stays = target == np.arange(count)
     renumbered = (np.cumsum(stays) - 1).astype(np.int32)[target]
     if stays.all():
-        return regions, renumbered
+        return tracked
     joined = replace(
         regions,
         depths=tuple(depth for depth, stay in zip(regions.depths, stays[1:].tolist(), strict=True) if stay),
@@ -173,7 +169,7 @@ def without_slivers(
         interior=np.where(stays, renumbered, 0)[regions.interior].astype(np.int32),
         grown=renumbered[regions.grown],
     )
-    return joined, renumbered
+    return TrackedRegions(joined, renumbered[tracked.number])
 
 
 def _right(regions: Regions) -> FloatArray | None:
@@ -184,11 +180,11 @@ def _right(regions: Regions) -> FloatArray | None:
 def _continued(
     last: Regions,
     current: Regions,
-    pixels: PixelDepth,
     part: Part,
     surroundings: Part,
     affected: NDArray[np.bool_],
     separation_per_m: float,
+    pixels: PixelDepth | None,
 ) -> NDArray[np.intp]:
     """For each current segment from 1, the last frame's segment that it continues where nothing changed; 0 for none."""
     around, before, count = np.ones(current.label.shape, dtype=bool), last.within(*surroundings), len(last.depths) + 1
@@ -203,10 +199,9 @@ def _continued(
         own = current.label == index
         place = [axis.astype(np.float64) for axis in np.nonzero(own)]
         there = before.depths[best - 1].plane.at(*place)
-        # A part may show little of a plane, whose tilt is then noise.
-        claimed = pixels.claimed[own]
         away = [np.abs(current.depths[index - 1].plane.at(*place) - there)]
-        if claimed.any():
+        if pixels is not None and (claimed := pixels.claimed[own]).any():
+            # A part may show little of a plane, whose tilt is then noise.
             away.append(np.abs(pixels.vergence_per_m[own] - there)[claimed])
         if min(float(np.median(one)) for one in away) < 0.5 * separation_per_m:
             continued[index] = best

@@ -22,7 +22,7 @@ from metafab.decode.decoder import DecodedFrame, Decoder
 from metafab.decode.evaluation import evaluated
 from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
 from metafab.decode.film.surface_planes import continued_surface, with_planes_of_surface
-from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track
+from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track, without_slivers
 from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, focus_depths, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
@@ -305,7 +305,8 @@ class VideoDecoder:
                 vergence, step = current.vergence_per_m(current.grown), local.downsampling.step
                 elsewhere = seen_elsewhere(here, current.grown, vergence, step)
                 current = replace(current, right=np.minimum(current.right, 1.0 - elsewhere))
-            tracked = track(regions, current, here, part, around, renewed, separation, local.downsampling.step)
+            tracked = track(regions, current, part, around, renewed, separation, here)
+            tracked = without_slivers(tracked, here, part, around, local.downsampling.step)
             regions, number = tracked.regions, tracked.number[number]
         return pixels, TrackedRegions(regions, number)
 
