@@ -1,7 +1,9 @@
 """Decoder of films: parts of a frame that have not changed since the last one are not decoded again.
 
 Changes are detected in the raw frame. Rectangles that hold them, with the pixels that filters mix them into, are
-decoded like small frames, together with their surroundings. Their segments are tracked from the last frame's.
+decoded like small frames, together with their surroundings. Their segments are tracked from the last frame's. Where the
+depths of the first frame are those of a continuous surface, its segments are replaced by ones on planes of that
+surface, on which later parts continue.
 """
 
 from __future__ import annotations
@@ -41,7 +43,7 @@ from metafab.decode.segmentation.surfaces import layer_separation_per_m
 #: Share of changed pixels from which a whole frame is decoded anew, with levels of its own.
 _MOST_CHANGED = 0.6
 #: Numbers of the changed frames that are decoded anew for comparison, and interval of the later ones: the segmentation
-#: with fewer segments is kept, so that a bad start, and fragments of segments, do not last.
+#: with fewer segments is kept, so that a bad start, and fragments of segments, do not last. Continuous surfaces stay.
 SECOND_LOOKS, _LOOK_AGAIN = (1, 3), 25
 #: Width of the surroundings with which a part is decoded, frame pixels.
 _SURROUNDINGS_PX = 12
