@@ -223,14 +223,23 @@ class Decoder:
         near_light = repeated(prepared.near_light, self.filters.downsampling.step, self.calibration.grid.shape)
         return self.deconvolver.tile_spectra(prepared.twins.image, near_light)
 
-    def segment(self, prepared: PreparedFrame, volume: CostVolume) -> tuple[PixelDepth, Regions]:
-        """Depth of each pixel, and segments."""
+    def segment(
+        self, prepared: PreparedFrame, volume: CostVolume, *, surfaces: bool = True
+    ) -> tuple[PixelDepth, Regions]:
+        """Depth of each pixel, and segments; ``surfaces``: whether continuous surfaces are sought."""
         pixels = textured_pixel_depth(prepared, volume)
         rounds, refined = self.numerics.outline_rounds, self.numerics.refined
         optics = self.layer_optics if refined and self.numerics.modelled else None
         filters = None if optics is None else self.filters
         return pixels, find_regions(
-            prepared, volume, pixels, outline_rounds=rounds, refined=refined, optics=optics, filters=filters
+            prepared,
+            volume,
+            pixels,
+            outline_rounds=rounds,
+            refined=refined,
+            surfaces=surfaces,
+            optics=optics,
+            filters=filters,
         )
 
     def sharpen(

@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.registration.downsampling import relative_slices
 from metafab.decode.segmentation.assignment import measured_again
 from metafab.decode.segmentation.planes import Cells, Plane, distinct_planes
-from metafab.decode.segmentation.segments import Regions, SegmentDepth
+from metafab.decode.segmentation.segments import FEWEST_PX, Regions, SegmentDepth, dilated
 
 Part = tuple[slice, slice]
 
@@ -64,15 +65,17 @@ def track(
     surroundings: Part,
     affected: NDArray[np.bool_],
     separation_per_m: float,
+    pixels: PixelDepth | None = None,
 ) -> TrackedRegions:
     """Replace the affected pixels of a part of the last frame's segments by the current ones.
 
     Current segments are those of the surroundings. Segments that continue keep their numbers. All other pixels of the
     part keep their segments: new noise moves no outline. The arguments are those of :func:`planes_around`; ``affected``
-    has the shape (n_y, n_x) of the part.
+    has the shape (n_y, n_x) of the part. A segment continues one whose plane its own is near, or the depths ``pixels``
+    of its pixels in the surroundings.
     """
     inside, count = relative_slices(part, surroundings), len(last.depths)
-    continued = _continued(last, current, part, surroundings, affected, separation_per_m)
+    continued = _continued(last, current, part, surroundings, affected, separation_per_m, pixels)
     sizes, changed = (
         np.bincount(one, minlength=count + 1)[1:] for one in (last.grown.ravel(), last.grown[part][affected])
     )
@@ -108,16 +111,65 @@ def track(
     right = None if earlier is None or later is None else earlier.copy()
     if right is not None and later is not None:
         right[part][affected] = later[inside][affected]
-    surface = None
+    label, interior, grown_label = labels
+    tracked = tuple(one for one in depths if one is not None)
+    regions = Regions(last.layers, tracked, label, interior, grown_label, right)
     if last.continuous or current.continuous:
         # The probabilities of a continuous surface are those of its own depths, not of the planes across it.
         surface = last.vergence_per_m(last.grown) if last.surface_per_m is None else last.surface_per_m.copy()
-        new = current.vergence_per_m(current.grown)[inside]
+        if current.continuous:
+            new = current.vergence_per_m(current.grown)[inside]
+        else:
+            local = regions.within(*part)
+            new = local.vergence_per_m(local.grown)
         surface[part] = np.where(affected & np.isfinite(new), new, surface[part])
-    label, interior, grown = labels
-    tracked = tuple(one for one in depths if one is not None)
-    regions = Regions(last.layers, tracked, label, interior, grown, right, surface)
+        regions = replace(regions, surface_per_m=surface)
     return TrackedRegions(regions, of_last)
+
+
+def without_slivers(
+    tracked: TrackedRegions, pixels: PixelDepth, part: Part, surroundings: Part, step: int
+) -> TrackedRegions:
+    """Segments of which those too small for one are joined to the neighbour whose depth their pixels fit best.
+
+    What moves on leaves slivers of segments behind. Only those inside the part are joined, of which the image is made
+    anew. Their pixels on a continuous surface keep their own depths.
+
+    Args:
+        pixels: depths of the pixels in the surroundings.
+        part: changed part of the window, slices in downsampled pixels.
+        surroundings: the part with the pixels around it.
+        step: frame pixels from one downsampled pixel to the next.
+    """
+    regions, fewest = tracked.regions, FEWEST_PX / step**2
+    count = len(regions.depths) + 1
+    sizes, in_part = (np.bincount(one.ravel(), minlength=count) for one in (regions.grown, regions.grown[part]))
+    small = (sizes < fewest) & (in_part == sizes) & (sizes > 0) & ~regions.of_outline
+    target = np.arange(count, dtype=np.int32)
+    around = regions.grown[surroundings]
+    for number in np.flatnonzero(small[1:]) + 1:
+        own = around == number
+        beside = [k for k in np.unique(around[dilated(own) & ~own]).tolist() if k > 0 and not small[k]]
+        if not beside:
+            continue
+        judged = own & pixels.claimed if (own & pixels.claimed).any() else own
+        place = [axis.astype(np.float64) for axis in np.nonzero(judged)]
+        whole = [axis + at.start for axis, at in zip(place, surroundings, strict=True)]
+        measured = pixels.vergence_per_m[judged]
+        away = [float(np.median(np.abs(regions.depths[k - 1].plane.at(*whole) - measured))) for k in beside]
+        target[number] = beside[int(np.argmin(away))]
+    stays = target == np.arange(count)
+    renumbered = (np.cumsum(stays) - 1).astype(np.int32)[target]
+    if stays.all():
+        return tracked
+    joined = replace(
+        regions,
+        depths=tuple(depth for depth, stay in zip(regions.depths, stays[1:].tolist(), strict=True) if stay),
+        label=renumbered[regions.label],
+        interior=np.where(stays, renumbered, 0)[regions.interior].astype(np.int32),
+        grown=renumbered[regions.grown],
+    )
+    return TrackedRegions(joined, renumbered[tracked.number])
 
 
 def _right(regions: Regions) -> FloatArray | None:
@@ -132,6 +184,7 @@ def _continued(
     surroundings: Part,
     affected: NDArray[np.bool_],
     separation_per_m: float,
+    pixels: PixelDepth | None,
 ) -> NDArray[np.intp]:
     """For each current segment from 1, the last frame's segment that it continues where nothing changed; 0 for none."""
     around, before, count = np.ones(current.label.shape, dtype=bool), last.within(*surroundings), len(last.depths) + 1
@@ -143,9 +196,14 @@ def _continued(
         best = int(overlap[1:].argmax()) + 1 if count > 1 else 0
         if index == 0 or best == 0 or overlap[best] < max(_FEWEST_CONTINUED, _CONTINUED_SHARE * overlap.sum()):
             continue
-        place = [axis.astype(np.float64) for axis in np.nonzero(current.label == index)]
-        difference = current.depths[index - 1].plane.at(*place) - before.depths[best - 1].plane.at(*place)
-        if np.median(np.abs(difference)) < 0.5 * separation_per_m:
+        own = current.label == index
+        place = [axis.astype(np.float64) for axis in np.nonzero(own)]
+        there = before.depths[best - 1].plane.at(*place)
+        away = [np.abs(current.depths[index - 1].plane.at(*place) - there)]
+        if pixels is not None and (claimed := pixels.claimed[own]).any():
+            # A part may show little of a plane, whose tilt is then noise.
+            away.append(np.abs(pixels.vergence_per_m[own] - there)[claimed])
+        if min(float(np.median(one)) for one in away) < 0.5 * separation_per_m:
             continued[index] = best
     return continued
 
@@ -153,10 +211,15 @@ def _continued(
 def remeasured(regions: Regions, volume: CostVolume, step: int) -> Regions:
     """Measure the depths of segments again that have become much larger; ``regions`` itself if there are none.
 
+    The tilted planes of a continuous surface stay: its own depths, which they were fitted to, show slopes better.
     The cost volume is that of the whole window, ``step`` the frame pixels from one downsampled pixel to the next.
     """
     sizes = np.bincount(regions.interior.ravel(), minlength=len(regions.depths) + 1)[1:]
-    larger = [index for index, one in enumerate(regions.depths) if sizes[index] > _GROWTH * one.pixels]
+    larger = [
+        index
+        for index, one in enumerate(regions.depths)
+        if sizes[index] > _GROWTH * one.pixels and not (regions.continuous and one.plane.tilted)
+    ]
     if not larger:
         return regions
     number = np.zeros(sizes.size + 1, dtype=np.int32)

@@ -1,7 +1,9 @@
 """Decoder of films: parts of a frame that have not changed since the last one are not decoded again.
 
 Changes are detected in the raw frame. Rectangles that hold them, with the pixels that filters mix them into, are
-decoded like small frames, together with their surroundings. Their segments are tracked from the last frame's.
+decoded like small frames, together with their surroundings. Their segments are tracked from the last frame's. Where the
+depths of the first frame are those of a continuous surface, its segments are replaced by ones on planes of that
+surface, on which later parts continue.
 """
 
 from __future__ import annotations
@@ -21,11 +23,13 @@ from metafab.core.parallel.progress import silent
 from metafab.decode.decoder import DecodedFrame, Decoder
 from metafab.decode.evaluation import evaluated
 from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
-from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track
+from metafab.decode.film.surface_planes import continued_surface, with_planes_of_surface
+from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track, without_slivers
 from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, focus_depths, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import SharpImages, TileSpectra
+from metafab.decode.images.own_depths import seen_elsewhere
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.registration.downsampling import relative_slices, repeated
@@ -39,7 +43,7 @@ from metafab.decode.segmentation.surfaces import layer_separation_per_m
 #: Share of changed pixels from which a whole frame is decoded anew, with levels of its own.
 _MOST_CHANGED = 0.6
 #: Numbers of the changed frames that are decoded anew for comparison, and interval of the later ones: the segmentation
-#: with fewer segments is kept, so that a bad start, and fragments of segments, do not last.
+#: with fewer segments is kept, so that a bad start, and fragments of segments, do not last. Continuous surfaces stay.
 SECOND_LOOKS, _LOOK_AGAIN = (1, 3), 25
 #: Width of the surroundings with which a part is decoded, frame pixels.
 _SURROUNDINGS_PX = 12
@@ -115,11 +119,16 @@ class VideoDecoder:
         if most_segments is None:
             decoded = decoder.complete(prepared, volume)
         else:
-            pixels, regions = decoder.segment(prepared, volume)
+            # The first frame of this scene showed no continuous surface, and to search for one takes ten frames' time.
+            pixels, regions = decoder.segment(prepared, volume, surfaces=False)
             if len(regions.depths) > most_segments:
                 return None
             decoded = decoder.sharpen(prepared, volume, pixels, regions, decoder.tile_spectra(prepared))
-        return FilmState(decoded, self.decoder.image(decoded), self._detector.patch_means(frame), camera)
+        image, rounds = decoder.image(decoded), decoder.numerics.outline_rounds
+        regions = with_planes_of_surface(decoded.regions, prepared, volume, decoded.pixels, rounds)
+        if regions is not decoded.regions:
+            decoded = replace(decoded, regions=regions, maps=decoded.maps.with_segments(regions, prepared))
+        return FilmState(decoded, image, self._detector.patch_means(frame), camera)
 
     @cached_property
     def _detector(self) -> ChangeDetector:
@@ -141,7 +150,9 @@ class VideoDecoder:
             self.changed_share = share
             return last
         self._changes += 1
-        if self._changes in self.second_looks or self._changes % _LOOK_AGAIN == 0:
+        look_again = self._changes in self.second_looks or self._changes % _LOOK_AGAIN == 0
+        # The pieces of a continuous surface tell nothing of its depths, and to search for one takes ten frames' time.
+        if look_again and not last.decoded.regions.continuous:
             # Fewer segments of the same scene are the better segmentation.
             anew = self._anew(frame, last.camera, most_segments=len(last.decoded.regions.depths))
             if anew is not None:
@@ -206,14 +217,19 @@ class VideoDecoder:
         """Segments whose outlines in the parts stand where the contrast changes; ``regions`` if they all do."""
         downsampling = self.decoder.filters.downsampling
         for one, lit_here in zip(rectangles, lit, strict=True):
-            local = regions.within(*one.around)
+            # What is new in the part of a continuous surface lies on planes, whose outlines move as those of others.
+            local = replace(regions.within(*one.around), surface_per_m=None)
             sharp_part = sharp.within(*downsampling.frame_slices(*one.around))
             moved = moved_outlines(local, sharp_part, downsampling.step, lit_here, changed[one.around])
             if moved is not local:
                 arrays = {name: getattr(regions, name).copy() for name in ("label", "interior", "grown", "right")}
                 for name, array in arrays.items():
                     array[one.around] = getattr(moved, name)
-                regions = replace(regions, **arrays)
+                surface = None
+                if regions.surface_per_m is not None:
+                    surface = regions.surface_per_m.copy()
+                    surface[one.around] = continued_surface(surface[one.around], local.grown, moved.grown)
+                regions = replace(regions, **arrays, surface_per_m=surface)
         return regions
 
     def _lit(self, one: _Rectangle, sharp: SharpImages) -> NDArray[np.bool_]:
@@ -274,11 +290,25 @@ class VideoDecoder:
             pixels.claimed[part][renewed] = depth.claimed[inside][renewed]
             known = planes_around(regions, part, around, renewed, separation)
             numerics, here = self.decoder.numerics, pixels.within(*around)
-            # Segments that continue keep their depth: outliers are left out of the others once.
+            # Segments that continue keep their depth: outliers are left out of the others once. So do the planes of a
+            # continuous surface, whose depths show their slopes better.
             current = find_regions(
-                local, local_volume, here, known, numerics.outline_rounds, refined=numerics.refined, robust_rounds=1
+                local,
+                local_volume,
+                here,
+                known,
+                numerics.outline_rounds,
+                refined=numerics.refined,
+                slopes=not regions.continuous,
+                robust_rounds=1,
             )
-            tracked = track(regions, current, part, around, renewed, separation)
+            if regions.continuous and not current.continuous and current.right is not None:
+                # The image of a surface leaves out that doubt, because its pixels have their own depths: these do not.
+                vergence, step = current.vergence_per_m(current.grown), local.downsampling.step
+                elsewhere = seen_elsewhere(here, current.grown, vergence, step)
+                current = replace(current, right=np.minimum(current.right, 1.0 - elsewhere))
+            tracked = track(regions, current, part, around, renewed, separation, here)
+            tracked = without_slivers(tracked, here, part, around, local.downsampling.step)
             regions, number = tracked.regions, tracked.number[number]
         return pixels, TrackedRegions(regions, number)
 

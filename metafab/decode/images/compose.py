@@ -118,6 +118,11 @@ class PixelMaps:
             lit,
         )
 
+    def with_segments(self, regions: Regions, prepared: PreparedFrame) -> PixelMaps:
+        """The maps with other segments at the same depths."""
+        segment = on_pixels(regions.grown, prepared.downsampling.step, self.lit.shape, regions.beyond_px)(regions.grown)
+        return replace(self, segment=np.where(self.lit, segment, 0).astype(np.int32))
+
     def overwrite(self, renumbered: NDArray[np.int32], patches: Sequence[Patch]) -> None:
         """Write parts of other maps into these.
 

@@ -82,6 +82,8 @@ def find_regions(
     outline_rounds: int = ROUNDS,
     *,
     refined: bool = True,
+    slopes: bool = True,
+    surfaces: bool = True,
     robust_rounds: int = ROBUST_ROUNDS,
     optics: LayerOptics | None = None,
     filters: CrossFilters | None = None,
@@ -95,12 +97,16 @@ def find_regions(
         known: planes of the picture; if some are tilted, pixels are assigned to them at once.
         outline_rounds: most rounds of the refinement of outlines.
         refined: whether to separate layers by noise, leave outliers out of depths, and compute that probability.
+        slopes: whether a refined segmentation measures slopes along their planes.
+        surfaces: whether a refined segmentation seeks continuous surfaces.
         robust_rounds: most rounds of leaving outliers out.
         optics: the pair, for outlines by the model of the frame, and for small objects; without, outlines stay where
             correlation puts them.
         filters: matched filters, for the depth of segments much dimmer than others; without, it is not measured again.
     """
-    segments = first_segments(prepared, volume, pixels, known, outline_rounds, refined=refined)
+    segments = first_segments(
+        prepared, volume, pixels, known, outline_rounds, refined=refined, slopes=slopes, surfaces=surfaces
+    )
     if segments.continuous:  # Each pixel has its own depth and probability.
         return segments
     regions = with_plain_objects(segments, prepared, volume)
@@ -124,7 +130,7 @@ def find_regions(
     for _ in range(robust_rounds):
         judged = np.where(prepared.spoiled, np.float32(np.inf), own.over_noise)
         before = regions.depths
-        regions = without_outliers(regions, volume, judged, step, moving)
+        regions = without_outliers(regions, volume, judged, step, moving, slopes=slopes)
         moving[1:] = [not _is_settled(*both, label.shape) for both in zip(regions.depths, before, strict=True)]
         if not moving[1:].any():
             break
@@ -233,7 +239,13 @@ def _is_settled(depth: SegmentDepth, before: SegmentDepth, shape: tuple[int, ...
 
 
 def without_outliers(
-    regions: Regions, volume: CostVolume, misfits: NDArray[np.float32], step: int, which: NDArray[np.bool_]
+    regions: Regions,
+    volume: CostVolume,
+    misfits: NDArray[np.float32],
+    step: int,
+    which: NDArray[np.bool_],
+    *,
+    slopes: bool = True,
 ) -> Regions:
     """Measure the depths of segments again without the pixels that they do not explain; ``regions`` if there are few.
 
@@ -241,6 +253,7 @@ def without_outliers(
         misfits: shape (n_y, n_x), misfit of each pixel at its segment's depth.
         step: frame pixels from one downsampled pixel to the next.
         which: shape (n_segments + 1,), segments that are measured, by number.
+        slopes: whether slopes are measured along their planes.
     """
     count = len(regions.depths)
     kept = np.where(misfits < _LARGEST_MISFIT, regions.interior, 0)
@@ -253,6 +266,8 @@ def without_outliers(
     depths = list(regions.depths)
     for index, cells in zip(again.tolist(), Cells.of_each(volume, number[kept], again.size, step), strict=True):
         depths[index] = measured_again(volume, cells, depths[index], depths[index].pixels, step)
+    if not slopes:
+        return replace(regions, depths=tuple(depths))
     measured = np.where(number[kept] > 0, kept, 0).astype(np.int32)
     return replace(regions, depths=along_planes(depths, measured, volume, step))
 

@@ -24,7 +24,7 @@ from metafab.decode.segmentation.outlines import ROUNDS, refined_outlines
 from metafab.decode.segmentation.planes import Plane
 
 #: Frame pixels of the smallest segment, half a window: less looks like the mixture of depths along an outline.
-_FEWEST_PX = 300
+FEWEST_PX = 300
 #: Share of the claimed pixels that a layer holds at least.
 _SMALLEST_SHARE = 0.01
 #: Distances from other segments, frame pixels, that keep their blur out: the first that leaves enough is taken.
@@ -297,7 +297,7 @@ def connected_segments(
             continue
         component, n_components = connected_components(opened((layer[box] == index) & lit[box], max(1, 2 // step)))
         sizes = np.bincount(component.ravel(), minlength=n_components + 1) * step**2
-        large = np.append(False, sizes[1:] >= _FEWEST_PX)
+        large = np.append(False, sizes[1:] >= FEWEST_PX)
         numbers = np.where(large, count + np.cumsum(large), 0).astype(np.int32)
         segment[box] += numbers[component]
         count += int(large.sum())
@@ -411,7 +411,7 @@ def interior(segment: NDArray[np.int32], number: int, step: int) -> NDArray[np.b
     if not others.any():
         return mask
     away = distance(others)
-    least = max(0.2 * _FEWEST_PX / step**2, 0.2 * float(own.sum()))
+    least = max(0.2 * FEWEST_PX / step**2, 0.2 * float(own.sum()))
     for px in _CLEAR_PX:
         inside[box] = own & (away > px / step)
         if inside.sum() >= least:

@@ -109,6 +109,8 @@ def first_segments(
     outline_rounds: int,
     *,
     refined: bool,
+    slopes: bool = True,
+    surfaces: bool = True,
 ) -> Regions:
     """Segment a frame; depths still hold the outliers of their segments.
 
@@ -119,9 +121,11 @@ def first_segments(
     Where the pixels' depths fit none of these, segments look like stripes or pieces of one surface, most pixels lie
     near outlines, or the twins in interiors hold light of other depths, pixels have the depth of a continuous surface,
     and segments are pieces of planes across it, if that explains the twins better. Where these planes are hardly
-    anywhere off the surface, pixels keep the planes' depths.
+    anywhere off the surface, pixels keep the planes' depths. ``slopes`` and ``surfaces`` are those
+    of :func:`metafab.decode.segmentation.regions.find_regions`.
     """
-    segmentation = Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), outline_rounds, refined)
+    separation_per_m, along = layer_separation_per_m(volume), refined and slopes
+    segmentation = Segmentation(prepared, volume, pixels, separation_per_m, outline_rounds, along)
     if any(plane.tilted for plane in known):
         return segmentation.of_planes(list(known))
     coarse = segmentation.layers
@@ -139,7 +143,7 @@ def first_segments(
         if fewer and explains_better(curved, regions, prepared, volume, pixels):
             regions = curved
     inside = clean & (regions.interior > 0)
-    if inside.size > _MOST_SURFACE_PIXELS:
+    if not surfaces or inside.size > _MOST_SURFACE_PIXELS:
         return regions
     layered = _has_layers(regions, prepared, volume, inside, clean)
     if layered:

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from metafab.decode.film.tracking import planes_around, remeasured, track
+from metafab.decode.film.tracking import TrackedRegions, planes_around, remeasured, track, without_slivers
 from metafab.decode.matching.cost_volume import CostVolume
+from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.segmentation.planes import Plane
 from metafab.decode.segmentation.segments import Regions, SegmentDepth
 
@@ -65,7 +66,7 @@ def test_what_goes_on_keeps_its_depth_and_what_moves_has_its_own() -> None:
 def test_pixels_of_a_continuous_surface_keep_their_depth_where_nothing_changed() -> None:
     surface = 2.0 + np.random.default_rng(1).random(SHAPE)
     last = replace(regions(street(), ROAD, Plane(3.0), Plane(2.5)), surface_per_m=surface)
-    found = now((slice(12, 22), slice(14, 19)), Plane(2.6), Plane(2.03))
+    found = now((slice(12, 22), slice(14, 19)), Plane(2.6), Plane(2.03, (0.01, 0.0), (15.0, 15.0)))
     changed = np.zeros_like(ALL)
     changed[5:] = True
     found.grown[20] = 0  # row 25 of the window: no depth now, but a place at which it is made sharp
@@ -76,7 +77,8 @@ def test_pixels_of_a_continuous_surface_keep_their_depth_where_nothing_changed()
     assert tracked.surface_per_m is not None and np.isnan(tracked.vergence_per_m(tracked.grown)[25, 20:40]).all()
     depth = tracked.surface_per_m
     np.testing.assert_array_equal(depth[~new], surface[~new])
-    np.testing.assert_array_equal(depth[new], np.where(now_car(), 2.6, 2.03)[new])
+    # What continues keeps the plane of its segment, new segments have their own.
+    np.testing.assert_allclose(depth[new], np.where(now_car(), 2.6, ROAD.over(SHAPE))[new])
 
 
 def now_car() -> np.ndarray:
@@ -96,6 +98,38 @@ def test_another_depth_beside_the_same_pixels_is_another_segment() -> None:
     assert (both.label[PART] == 3).all()
     assert (both.label[:, :20] == 1).all()
     assert number.tolist() == [0, 1, 2, 0]
+
+
+def measured(vergence_per_m: np.ndarray) -> PixelDepth:
+    """Depths of the pixels about the part."""
+    error = np.full(vergence_per_m.shape, 1e-3)
+    return PixelDepth(vergence_per_m, error, np.ones(vergence_per_m.shape, dtype=bool))
+
+
+def test_a_segment_whose_pixels_lie_on_a_plane_continues_it_though_its_own_tilt_is_noise() -> None:
+    last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
+    found = now(None, Plane(9.0), Plane(2.2, (0.05, -0.05), (15.0, 15.0)))
+    pixels = measured(ROAD.over(SHAPE)[ABOUT])
+    assert len(track(last, found, PART, ABOUT, ALL, STEP_PER_M).regions.depths) == 3
+    tracked = track(last, found, PART, ABOUT, ALL, STEP_PER_M, pixels).regions
+    assert [depth.plane for depth in tracked.depths] == [ROAD, Plane(3.0)]
+
+
+def test_slivers_in_the_part_join_the_neighbour_that_their_pixels_lie_on() -> None:
+    label = street()
+    label[15:25, 30:32] = 4  # 20 pixels between car and road: 180 frame pixels
+    label[0, :3] = 5  # outside of the part
+    last = regions(label, ROAD, Plane(3.0), Plane(2.5), Plane(2.8), Plane(2.4))
+    before = TrackedRegions(last, np.arange(6, dtype=np.int32))
+    for depth, owner in ((2.5, 3), (2.0, 1)):
+        found = without_slivers(before, measured(np.full((30, 30), depth)), PART, ABOUT, 3)
+        assert (found.regions.grown[15:25, 30:32] == owner).all()
+        assert not found.regions.interior[15:25, 30:32].any()
+        assert (found.regions.label[0, :3] == 4).all()
+        assert found.number.tolist() == [0, 1, 2, 3, owner, 4]
+        assert [one.vergence_per_m for one in found.regions.depths] == [2.0, 3.0, 2.5, 2.4]
+    # On pixels twice as wide it is a segment.
+    assert without_slivers(before, measured(np.full((30, 30), 2.5)), PART, ABOUT, 6) is before
 
 
 def test_what_has_gone_leaves_no_number_behind() -> None:
