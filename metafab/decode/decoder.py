@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from metafab.camera.frames.frame import RawFrame
 from metafab.camera.geometry import ImageMap
@@ -58,8 +59,8 @@ class DecoderNumerics:
     #: Whether to separate layers by noise, leave outliers out of segments' depths, and compute the probability that a
     #: pixel is in the right segment; without, decoding is faster.
     refined: bool = True
-    #: Whether, if ``refined``, a model of the frame with occlusion refines outlines of segments, and small objects and
-    #: bars are searched.
+    #: Whether, if ``refined``, a model of the frame with occlusion refines outlines of segments, small objects and bars
+    #: are searched, and plain parts of segments are told from the surface behind them.
     modelled: bool = True
     kept_bytes: int = KEPT_BYTES  #: Most memory of the transfer functions that are kept for the next frame.
     #: Pixels from one compared pixel to the next; None for the largest step that keeps the information about depth
@@ -259,8 +260,8 @@ class Decoder:
             regions = shortest_outlines(regions, sharp, step)
             regions = outlines_by_frame(regions, prepared, self.layer_optics, step)
             regions = plain_parts_judged(prepared, volume, regions, pixels)
-            light = block_sums(np.ascontiguousarray(sharp.images), step, regions.grown.shape)
-            regions = plain_behind_doubted(prepared, regions, pixels, light)
+            light_of = partial(_downsampled_light, sharp, step, regions.grown.shape)
+            regions = plain_behind_doubted(prepared, regions, pixels, light_of)
         maps = PixelMaps.of(prepared, pixels, regions, sharp, lit)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
 
@@ -272,6 +273,11 @@ class Decoder:
         if figures.warning is None and unmixing is not None and not unmixing.is_possible:
             figures = replace(figures, warning=unmixing.WARNING)
         return replace(image, figures=figures)
+
+
+def _downsampled_light(sharp: SharpImages, step: int, shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Light of both sharp images in each downsampled pixel: shape (2, n_y, n_x), with ``shape`` (n_y, n_x)."""
+    return block_sums(np.ascontiguousarray(sharp.images), step, shape)
 
 
 def _empty(

@@ -12,12 +12,13 @@ from metafab.core.figures import LightMapping, MappingFigures, WriteTime
 from metafab.core.storage.tables import optional, typed
 from metafab.spec.light import light_label
 from metafab.steps.job import Job, Step, in_folder, no_mask
-from metafab.steps.library import libraries, open_library
+from metafab.steps.library import libraries, neighbour_warning, open_library
 
 if TYPE_CHECKING:
     from metafab.layout.mapping import LightTarget
-    from metafab.library import Library
-    from metafab.spec import Design
+
+#: What asks for the choice of sizes by a model of neighbours that does not pay.
+_CHOSEN_BY = "`rules.neighbours`, which chooses the sizes by it"
 
 
 @dataclass(frozen=True)
@@ -124,16 +125,8 @@ def write_layout(job: Job) -> LayoutFigures:
         gap_rule_each=assignment.gap_rule_each,
         lights=assignment.lights or None,
         write_time=time,
-        neighbour_warning=_neighbour_warning(job.design, library),
+        neighbour_warning=neighbour_warning(library, _CHOSEN_BY) if job.design.rules.neighbours else None,
     )
-
-
-def _neighbour_warning(design: Design, library: Library) -> str | None:
-    """Sentence about sizes that are chosen by a model of neighbours which does not pay; None for others."""
-    if not design.rules.neighbours or library.neighbours is None or library.neighbours.warning is None:
-        return None
-    remedy = "raise `neighbours.rows` in the unit cell, or remove `rules.neighbours`, which chooses the sizes by it"
-    return f"{library.neighbours.warning}; {remedy}"
 
 
 def light_targets(job: Job) -> list[LightTarget]:

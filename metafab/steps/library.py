@@ -101,6 +101,13 @@ def open_library(job: Job) -> Library:
     return _OPENED.of(file_mark(path), lambda: library.load(path))
 
 
+def neighbour_warning(library: Library, use: str) -> str | None:
+    """Sentence about a model of neighbours that does not pay, and what uses it all the same; None for others."""
+    if library.neighbours is None or library.neighbours.warning is None:
+        return None
+    return f"{library.neighbours.warning}; raise `neighbours.rows` in the unit cell, or remove {use}"
+
+
 def libraries(job: Job) -> list[Library]:
     """Load the libraries of all lights of the design, in their order; none for a design with one light."""
     return [open_library(job.at_light(light)) for light in job.design.light]

@@ -37,6 +37,8 @@ AHEAD = 8
 
 #: Work of a compiled loop, in seconds, from which a second thread pays: to hand it over takes 50 us.
 _WORTH_A_THREAD_S = 2e-4
+#: Seconds for each element of its arrays that each compiled loop, a function of a module, took the last time.
+_seconds_of_element: dict[Callable[..., None], float] = {}
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -223,13 +225,10 @@ def spread(kernel: Callable[..., None], count: int, *arguments: Any) -> None:
     jobs = [] if threads is None else [threads.submit(kernel, *edge, *arguments) for edge in pairwise(edges[1:])]
     started = time.perf_counter()
     kernel(edges[0], edges[1], *arguments)
-    _seconds_of_element[kernel] = (time.perf_counter() - started) * parts / size
+    if edges[1]:
+        _seconds_of_element[kernel] = (time.perf_counter() - started) * parts / size
     for job in jobs:
         job.result()
-
-
-#: Seconds for each element of its arrays that each kernel took the last time.
-_seconds_of_element: dict[Callable[..., None], float] = {}
 
 
 def _submitter(executor: Executor, function: Callable[[Item], Result]) -> Callable[[Item], Future[Result]]:

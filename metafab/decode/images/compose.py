@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.figures import DecodingFigures, SegmentFigures
-from metafab.core.numeric.distance import distance
 from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LEAST_RIGHT, RIGHT_WITHIN, SEGMENTS_SCATTER, confidence, same_side
 from metafab.decode.image import Image4D
@@ -184,9 +183,7 @@ class DepthMaps:
 def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int, int]) -> DepthMaps:
     """Segments, depths and confidence on the frame's pixels, shape (n_y, n_x), ``step`` to a downsampled one."""
     claimed = pixels.claimed & (regions.grown > 0)
-    known = regions.grown > 0
-    if not regions.continuous:
-        known &= (distance(claimed) <= WINDOW_PX / step) | regions.of_outline[regions.grown]
+    known = regions.grown > 0 if regions.continuous else regions.shown(claimed, WINDOW_PX / step)
     segment_error = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])[regions.grown]
     if not regions.continuous:  # Otherwise the probability of the right depth counts the noise.
         segment_error *= SEGMENTS_SCATTER

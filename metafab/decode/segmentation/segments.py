@@ -95,6 +95,14 @@ class Regions:
         """Whether each segment is a plain surface at the depth of its outline, by number: shape (n_segments + 1,)."""
         return np.array([False, *(depth.of_outline for depth in self.depths)])
 
+    def shown(self, claimed: NDArray[np.bool_], window: float) -> NDArray[np.bool_]:
+        """Pixels of segments that show depth: ``claimed`` ones, others within a window, and all of plain objects.
+
+        Mask and result have the shape (n_y, n_x), ``window`` is in downsampled pixels.
+        """
+        inside = self.grown > 0
+        return inside & ((distance(claimed & inside) <= window) | self.of_outline[self.grown])
+
     def within(self, rows: slice, columns: slice) -> Regions:
         """The segments in a part of the window, with the same numbers."""
         depths = tuple(

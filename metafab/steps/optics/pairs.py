@@ -24,14 +24,13 @@ from metafab.spec import Design, Scene
 from metafab.steps.exposure import Printed
 from metafab.steps.job import Job, Step, in_folder
 from metafab.steps.layout import mask_paths
-from metafab.steps.library import library_path
+from metafab.steps.library import library_path, neighbour_warning, open_library
 from metafab.steps.optics.figures import PairFigures, PsfFigures
 from metafab.steps.optics.sources import (
     ideal_source,
     joint_error,
     light_over_field,
     lit_source,
-    neighbour_warning,
     oblique_error,
     source_of,
     written_light,
@@ -47,6 +46,8 @@ UNSKIPPED_SHARE = 0.1
 DEPTH_MARGIN = 0.08
 #: Smallest margin, as a share of the nearest object's vergence; it serves scenes at one depth.
 SMALLEST_MARGIN = 0.02
+#: What asks for the light of a model of neighbours that does not pay.
+_LIT_BY = "`optics.neighbours`, by which the PSFs are computed"
 
 
 def point_spread(
@@ -227,7 +228,7 @@ def _verified_psf(job: Job) -> Callable[..., Psf]:
 
 def pair_figures(job: Job, pair: Psf, light_at_um: Places | None = None) -> PairFigures:
     """Figures of all depths of a pair; they warn of a model of neighbours that gave its light and does not pay."""
-    warning = None if pair.neighbours is None else neighbour_warning(job)
+    warning = None if pair.neighbours is None else neighbour_warning(open_library(job), _LIT_BY)
     return replace(PairFigures.of(pair, light_at_um), neighbour_warning=warning)
 
 
@@ -289,7 +290,7 @@ def _psf(job: Job) -> PsfFigures:
     return replace(
         figures,
         with_neighbours=is_among or None,
-        neighbour_warning=neighbour_warning(job) if is_among else None,
+        neighbour_warning=neighbour_warning(open_library(job), _LIT_BY) if is_among else None,
         joint_error=joint_error(job, pillars),
         oblique_error=None if seen is None else oblique_error(job, seen),
         oblique_change=seen.change.change if isinstance(seen, ObliqueField) else None,

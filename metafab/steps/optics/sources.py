@@ -75,15 +75,6 @@ def written_light(job: Job, path: Path, copy: int = 1) -> WrittenField | Neighbo
     return _AMONG.of(key, lambda: optics.neighbour_field(lone.pillars, library, job.work.workers))
 
 
-def neighbour_warning(job: Job) -> str | None:
-    """Sentence about the library's model of neighbours where it does not pay; None for others."""
-    model = open_library(job).neighbours
-    if model is None or model.warning is None:
-        return None
-    remedy = "raise `neighbours.rows` in the unit cell, or remove `optics.neighbours`, by which the PSFs are computed"
-    return f"{model.warning}; {remedy}"
-
-
 def light_over_field(
     job: Job, straight: WrittenField | NeighbourField, tangents: Sequence[Tangent] = ()
 ) -> WrittenField | NeighbourField | ObliqueField:

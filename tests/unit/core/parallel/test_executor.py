@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -91,6 +93,30 @@ def test_kept_threads_do_not_wait_while_a_job_has_not_begun() -> None:
         finally:
             free.set()
         assert all(job.result() for job in busy[:-1])
+
+
+@pytest.mark.parametrize("kernel_s", [1e-5, 1e-3])
+def test_a_second_thread_is_for_loops_that_take_longer_than_to_start_it(
+    kernel_s: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last call tells; one over no items tells nothing."""
+    clock = itertools.count()
+    monkeypatch.setattr("metafab.core.parallel.executor.default_workers", lambda: 2)
+    monkeypatch.setattr(
+        "metafab.core.parallel.executor.time", SimpleNamespace(perf_counter=lambda: kernel_s * next(clock))
+    )
+    rows, parts = np.zeros(8), list[tuple[int, int]]()
+
+    def kernel(first: int, stop: int, filled: FloatArray) -> None:
+        parts.append((first, stop))
+        filled[first:stop] = np.arange(first, stop)
+
+    with kept_threads():
+        for count in (rows.size, rows.size, 0, rows.size):
+            parts.clear()
+            spread(kernel, count, rows)
+    assert sorted(parts) == ([(0, 4), (4, 8)] if kernel_s > 2e-4 else [(0, 8)])
+    np.testing.assert_array_equal(rows, np.arange(8))
 
 
 def test_all_cores_share_the_items_of_kept_threads() -> None:

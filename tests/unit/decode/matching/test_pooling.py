@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.ndimage import maximum_filter, uniform_filter
+from scipy.ndimage import binary_opening, maximum_filter, uniform_filter
 
-from metafab.decode.matching.pooling import halved, label_sums, window_maxima, window_means
+from metafab.decode.matching.pooling import halved, label_sums, opened_by_square, window_maxima, window_means
 
 
 def halved_plain(pictures: np.ndarray) -> np.ndarray:
@@ -30,6 +30,15 @@ def test_means_and_maxima_are_those_of_plain_filters(n_y: int, n_x: int, reach: 
     np.testing.assert_allclose(halved(pictures), halved_plain(pictures), atol=1e-5)
     for picture in (pictures[0, 0], pictures[0, 0] > 1.0):
         np.testing.assert_array_equal(window_maxima(picture, window), maximum_filter(picture, window, mode="nearest"))
+
+
+@settings(max_examples=40, deadline=None)
+@given(n_y=st.integers(1, 30), n_x=st.integers(1, 30), reach=st.integers(0, 4), seed=st.integers(0, 99))
+def test_openings_by_squares_are_scipys(n_y: int, n_x: int, reach: int, seed: int) -> None:
+    mask, window = np.random.default_rng(seed).random((n_y, n_x)) < 0.95, 2 * reach + 1
+    np.testing.assert_array_equal(
+        opened_by_square(mask, window), binary_opening(mask, np.ones((window, window), dtype=bool))
+    )
 
 
 @settings(max_examples=25, deadline=None)
