@@ -224,7 +224,12 @@ def _images() -> list[dict[str, Any]]:
     image, unjudged = decoder(frame), replace(frame, truth=None)
     decoders = {"4D image": partial(decoder, unjudged), "depth map": partial(decoder.depth_map, unjudged)}
     table = [
-        {"name": name, "error": image.nmae, "seconds": least_seconds(work), "wall_seconds": _least_clock_s(work)}
+        {
+            "name": name,
+            "error": image.nmae,
+            "seconds": least_seconds(work),
+            "wall_seconds": least_seconds(work, _ROUNDS, time.perf_counter),
+        }
         for name, work in decoders.items()
     ]
     frames, decoder = _photographed(OUTDOOR)
@@ -242,16 +247,6 @@ def _images() -> list[dict[str, Any]]:
     table.append(film | {"wall_seconds": float(np.median(clock_s))})
     floor_s = 2.0 * transform_s(*image.depth_m.shape)
     return [{**row, "floor_s": floor_s} for row in table]
-
-
-def _least_clock_s(work: Callable[[], Any]) -> float:
-    """Least time by the clock of a few rounds."""
-    found = []
-    for _ in range(_ROUNDS):
-        begun = time.perf_counter()
-        work()
-        found.append(time.perf_counter() - begun)
-    return min(found)
 
 
 def _photographed(name: str) -> tuple[list[camera.RawFrame], decode.Decoder]:

@@ -94,17 +94,9 @@ def _joined(regions: Regions, separation_per_m: float, step: int) -> Regions:
             target[number] = larger[int(np.argmin(away))]
     for number in reversed(smallest_first):
         target[number] = target[target[number]]
-    stays = target == np.arange(count)
-    if stays.all():
+    if np.array_equal(target, np.arange(count)):
         return regions
-    renumbered = (np.cumsum(stays) - 1).astype(np.int32)[target]
-    joined = replace(
-        regions,
-        depths=tuple(depth for depth, stay in zip(regions.depths, stays[1:].tolist(), strict=True) if stay),
-        label=renumbered[regions.label],
-        interior=renumbered[regions.interior],
-        grown=renumbered[regions.grown],
-    )
+    joined, _ = regions.merged(target, interiors=True)
     inside = np.bincount(joined.interior.ravel(), minlength=len(joined.depths) + 1)[1:].tolist()
     depths = tuple(replace(depth, pixels=float(n)) for depth, n in zip(joined.depths, inside, strict=True))
     return _on_surface(replace(joined, depths=depths), step)

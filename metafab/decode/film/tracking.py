@@ -158,17 +158,9 @@ def without_slivers(
         measured = pixels.vergence_per_m[judged]
         away = [float(np.median(np.abs(regions.depths[k - 1].plane.at(*whole) - measured))) for k in beside]
         target[number] = beside[int(np.argmin(away))]
-    stays = target == np.arange(count)
-    renumbered = (np.cumsum(stays) - 1).astype(np.int32)[target]
-    if stays.all():
+    if np.array_equal(target, np.arange(count)):
         return tracked
-    joined = replace(
-        regions,
-        depths=tuple(depth for depth, stay in zip(regions.depths, stays[1:].tolist(), strict=True) if stay),
-        label=renumbered[regions.label],
-        interior=np.where(stays, renumbered, 0)[regions.interior].astype(np.int32),
-        grown=renumbered[regions.grown],
-    )
+    joined, renumbered = regions.merged(target, interiors=False)
     return TrackedRegions(joined, renumbered[tracked.number])
 
 

@@ -134,15 +134,11 @@ class Segmentation:
             wide[(distance(plain) <= WINDOW_PX / step) & (label == 0)] = 0
         wide[prepared.plain] = 0
         target = fragment_targets(depths, wide, step)
-        stays = target == np.arange(target.size)
-        renumbered = (np.cumsum(stays) - 1).astype(np.int32)
-        kept = tuple(depth for depth, stay in zip(depths, stays[1:].tolist(), strict=True) if stay)
         # Depth and contrast are measured without the fragments that are merged into a segment.
-        inner = np.where(stays, renumbered, 0)[inner].astype(np.int32)
-        merged = renumbered[target]
-        if self.refined:
-            kept = along_planes(kept, inner, volume, step)
-        return Regions(len(layers), kept, merged[label], inner, merged[wide])
+        regions, _ = Regions(len(layers), tuple(depths), label, inner, wide).merged(target, interiors=False)
+        if not self.refined:
+            return regions
+        return replace(regions, depths=along_planes(regions.depths, regions.interior, volume, step))
 
     def _textured(self, segments: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
         """The segments that show texture, numbered anew from 1, their interiors, and the pixels of the others."""

@@ -158,6 +158,23 @@ class Regions:
             grown=number[grown_label],
         )
 
+    def merged(self, target: NDArray[np.int32], *, interiors: bool) -> tuple[Regions, NDArray[np.int32]]:
+        """Segments merged into others, numbered anew, and each one's new number, shape (n_segments + 1,).
+
+        Args:
+            target: shape (n_segments + 1,), segment that each becomes part of; its own number where it stays.
+            interiors: whether interiors are merged as well; else those of segments that do not stay are left out.
+        """
+        stays = target == np.arange(target.size)
+        number = (np.cumsum(stays) - 1).astype(np.int32)[target]
+        return replace(
+            self,
+            depths=tuple(depth for depth, stay in zip(self.depths, stays[1:].tolist(), strict=True) if stay),
+            label=number[self.label],
+            interior=(number if interiors else np.where(stays, number, 0).astype(np.int32))[self.interior],
+            grown=number[self.grown],
+        ), number
+
     def refused(self, where: NDArray[np.bool_]) -> Regions:
         """The same segments, of which the pixels ``where``, shape (n_y, n_x), have no depth."""
         if not where.any():
