@@ -8,6 +8,7 @@ images, the zero of the depths.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -46,6 +47,8 @@ _CIRCLE, _LEAST_ARC_DEG = 0.1, 45.0
 _CROWDED = 0.01
 #: Distance of the sensor where it is not given, mm; the decoder's depth does not depend on it.
 _DISTANCE_MM = 20.0
+#: Smallest distance of the sensor, mm: a micrometre.
+_LEAST_DISTANCE_MM = 1e-3
 #: Directions along each axis of a split lens's field: opposite distortion is quadratic in the tangent.
 _FIELD_NODES = 3
 #: Distance between the two images where it is not given, pixels; frames simulated with the pair have it.
@@ -107,7 +110,7 @@ def psf_of_stack(
     Raises:
         InputError: other shapes, values or depths, all faults of the depths at once; a split lens without its geometry.
     """
-    depth, zero, made = _checked(stack, np.asarray(depth_m, dtype=np.float64), pixel_um, zero_m)
+    depth, zero, made = _checked(stack, np.asarray(depth_m, dtype=np.float64), pixel_um, zero_m, split_um, distance_mm)
     lit, background, noise = _without_background(stack, depth)
     shared = (stack == stack.max(axis=(-2, -1), keepdims=True)).sum(axis=(-2, -1))
     channels, _, n_y, n_x = stack.shape
@@ -174,7 +177,12 @@ def psf_of_stack(
 
 
 def _checked(
-    stack: FloatArray, depth_m: FloatArray, pixel_um: float, zero_m: float | None
+    stack: FloatArray,
+    depth_m: FloatArray,
+    pixel_um: float,
+    zero_m: float | None,
+    split_um: tuple[float, float] | None,
+    distance_mm: float | None,
 ) -> tuple[FloatArray, float, list[str]]:
     """Depths from the lens, their zero, and the assumptions on them."""
     faults = []
@@ -196,8 +204,7 @@ def _checked(
         faults.append(Fault("depths", "finite, increasing depths in metres", _listed(depth_m), remedy))
     elif depth_m[-1] > LARGEST:
         faults.append(Fault("depths", f"depths in metres, at most {LARGEST:g}", _listed(depth_m)))
-    if not 0.0 < pixel_um <= LARGEST:
-        faults.append(Fault("pixel_um", f"a number above zero, at most {LARGEST:g}", f"{pixel_um:g}"))
+    faults += _geometry_faults(pixel_um, split_um, distance_mm)
     if faults:
         raise InputError("PSF stack", faults)
     made = []
@@ -212,6 +219,19 @@ def _checked(
         got = f"{zero:g} m, nearest depth {depth[0]:g} m"
         raise InputError.single("PSF stack", "zero_m", expected, got)
     return depth, zero, made
+
+
+def _geometry_faults(
+    pixel_um: float, split_um: tuple[float, float] | None, distance_mm: float | None
+) -> Iterator[Fault]:
+    """Faults of pixel, split and distance."""
+    if not 0.0 < pixel_um <= LARGEST:
+        yield Fault("pixel_um", f"a number above zero, at most {LARGEST:g}", f"{pixel_um:g}")
+    elif split_um is not None and not pixel_um <= math.hypot(*split_um) <= LARGEST:
+        expected = f"images at least a pixel ({pixel_um:g} um) apart"
+        yield Fault("split_um", expected, f"{split_um[0]:g} {split_um[1]:g}", "measure it on a frame")
+    if distance_mm is not None and not _LEAST_DISTANCE_MM <= distance_mm <= LARGEST:
+        yield Fault("distance_mm", f"a number from {_LEAST_DISTANCE_MM:g} to {LARGEST:g}", f"{distance_mm:g}")
 
 
 def _listed(depth_m: FloatArray) -> str:

@@ -254,7 +254,10 @@ def import_command(
             split_lens=split_lens,
         )
     except InputError as error:  # its faults are named by the arguments of the function
-        names = {"depths": "--depths", "zero_m": "--zero-m", "split_lens": "--split-lens", "centring": "--centre"}
+        options = {"zero_m", "split_lens", "split_um", "distance_mm"}
+        names = {"depths": "--depths", "centring": "--centre"} | {
+            name: f"--{name.replace('_', '-')}" for name in options
+        }
         faults = [replace(fault, field=names.get(fault.field, fault.field)) for fault in error.faults]
         raise InputError(str(stack), faults) from error
     optics.save(psf, path, inputs_sha256=fingerprint(file_sha256(stack), plain(figures)))

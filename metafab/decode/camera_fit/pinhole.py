@@ -23,6 +23,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -129,6 +130,8 @@ _LINES = "write one line `frame, depth in m` for each photograph, with a comma a
 def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
     """Read the depths of frames from a table of lines "file name, depth in m"; lines that start with # are skipped.
 
+    A line may name the path of a frame in place of its file name; of frames with one file name it has to.
+
     InputError if the table cannot be read, a depth is not a positive number, or a frame is not in it, or repeats.
     """
     try:
@@ -151,12 +154,12 @@ def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
             table[name] = math.nan
         if not (math.isfinite(table[name]) and table[name] > 0.0):
             faults.append(Fault(f"line {number}", "a file name and a depth in m", line, _LINES))
-    faults += [
-        Fault(frame.name, "a line with its depth", "none", _LINES) for frame in frames if frame.name not in table
-    ]
+    named = Counter(frame.name for frame in frames)
+    keys = [frame.name if named[frame.name] == 1 and frame.name in table else str(frame) for frame in frames]
+    faults += [Fault(key, "a line with its depth", "none", _LINES) for key in keys if key not in table]
     if faults:
         raise InputError(str(path), faults)
-    return [table[frame.name] for frame in frames]
+    return [table[key] for key in keys]
 
 
 def _check(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: Psf) -> None:

@@ -128,6 +128,12 @@ def test_numbers_beyond_all_optics_are_refused(
         psf_of_stack(scale * turning_psf().psf, depth_scale * np.array(DEPTHS_M), pixel_um, zero_m=zero_m)
 
 
+def test_images_that_coincide_and_a_sensor_at_the_lens_are_refused_at_once() -> None:
+    with pytest.raises(InputError) as caught:
+        psf_of_stack(turning_psf().psf, np.array(DEPTHS_M), 1.0, split_um=(0.0, 0.5), distance_mm=1e-30)
+    assert [fault.field for fault in caught.value.faults] == ["split_um", "distance_mm"]
+
+
 def _bad(index: tuple[int, ...] | None = None, value: float = np.nan) -> FloatArray:
     stack = turning_psf().psf.copy()
     if index is not None:

@@ -321,6 +321,16 @@ def test_a_table_of_depths_names_all_its_faults(tmp_path: Path) -> None:
         read_depths(tmp_path / "none.csv", [])
 
 
+def test_frames_of_one_name_are_told_apart_by_their_paths(tmp_path: Path) -> None:
+    frames = [Path("near/p.tif"), Path("far/p.tif"), Path("far/q.tif")]
+    (tmp_path / "names.csv").write_text("p.tif, 0.3\nq.tif, 0.5\n")
+    with pytest.raises(InputError) as refused:
+        read_depths(tmp_path / "names.csv", frames)
+    assert [fault.field for fault in refused.value.faults] == ["near/p.tif", "far/p.tif"]
+    (tmp_path / "paths.csv").write_text("near/p.tif, 0.3\nfar/p.tif, 0.4\nfar/q.tif, 0.5\n")
+    assert read_depths(tmp_path / "paths.csv", frames) == [0.3, 0.4, 0.5]
+
+
 @pytest.mark.parametrize("text", ["p.tif; 0.0026", "p.tif, 0,0026", "q.tif, 0.0026"])
 def test_a_table_of_other_lines_says_how_they_are_written(text: str, tmp_path: Path) -> None:
     (tmp_path / "depths.csv").write_text(text)
