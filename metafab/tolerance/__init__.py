@@ -3,8 +3,9 @@
 - ``corners``     amplitudes of a mask with another height, index, sidewall or bias, from a few solved cells
 - ``corner_fit``  their change, fitted to the solved sizes
 - ``scatter``     random faults of block sums: misplaced and missing pillars, stitched write fields
-- ``study``       :func:`tolerance_table`: all corners and faults against the nominal mask, decoded depth included;
-                  ``tolerance.json``
+- ``mask_light``  PSFs of a mask from blocks of pillars of fixed size
+- ``reference``   figures of a mask against the nominal one, decoded depth included
+- ``study``       :func:`tolerance_table`: all corners and faults against the nominal mask; ``tolerance.json``
 
 In: a :class:`~metafab.optics.WrittenField` with its library, an :class:`~metafab.optics.Imaging` and the tolerances of
 a design. Out: a :class:`ToleranceTable`.

@@ -24,8 +24,10 @@ from metafab.spec import Device, UnitCell
 from metafab.spec.design import Tolerances
 from metafab.tolerance import ToleranceTable, corner_fields, load_tolerance, save_tolerance, tolerance_table
 from metafab.tolerance.corners import SLICE_CHECKS, MaskSizes, slice_error
+from metafab.tolerance.mask_light import Light, MaskOptics
+from metafab.tolerance.reference import DepthDecoder, Reference
 from metafab.tolerance.scatter import Stitched
-from metafab.tolerance.study import DepthDecoder, Light, MaskOptics, Reference, require_block_memory
+from metafab.tolerance.study import require_block_memory
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()
