@@ -2,7 +2,8 @@
 
 - ``fields``   checked number types and the ``spec`` decorator
 - ``cell``     UnitCell: geometry, materials and illumination of one cell, and the sweep of a library
-- ``design``   Design: device, rules, sensor, verification
+- ``device``   what is made and stands around it: lens, design rules, sensor, other optics
+- ``design``   Design: all tables of a design file, and how they must fit each other
 - ``terms``    phase terms of a design
 - ``light``    Light: one of several wavelengths that a mask serves
 - ``mask/``    Mask: formats, layers, bias, tone, chip, copies, test structures, exposure; Process
@@ -26,12 +27,12 @@ from metafab.spec.cell import Sweep as Sweep
 from metafab.spec.cell import UnitCell
 from metafab.spec.construct import make_design, make_unit_cell
 from metafab.spec.design import Design
-from metafab.spec.design import Device as Device
 from metafab.spec.design import Numerics as Numerics
-from metafab.spec.design import Optics as Optics
-from metafab.spec.design import Rules as Rules
-from metafab.spec.design import Sensor as Sensor
 from metafab.spec.design import Verify as Verify
+from metafab.spec.device import Device as Device
+from metafab.spec.device import Optics as Optics
+from metafab.spec.device import Rules as Rules
+from metafab.spec.device import Sensor as Sensor
 from metafab.spec.light import Light as Light
 from metafab.spec.load import load_design, load_process, load_scene, load_unit_cell
 from metafab.spec.mask import Chip as Chip

@@ -16,7 +16,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage.files import whole_file
 from metafab.spec.cell import UnitCell
-from metafab.spec.design import LARGEST_APERTURE_UM
+from metafab.spec.device import LARGEST_APERTURE_UM
 from metafab.spec.keys.reference import near
 from metafab.spec.load import load_unit_cell_of
 

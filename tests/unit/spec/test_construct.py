@@ -11,7 +11,7 @@ import pytest
 from metafab.core.errors import InputError
 from metafab.spec import Sensor, UnitCell, load_design, load_unit_cell, make_design, make_unit_cell
 from metafab.spec.cell import CellGeometry, CellMaterials, Illumination, Material
-from metafab.spec.design import Device
+from metafab.spec.device import Device
 from metafab.spec.terms import SpiralZones, SplitLens
 
 ROOT = Path(__file__).parents[3]

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from metafab.optics import load
 from metafab.spec import Design, Light
 from metafab.spec.cell import Axes
-from metafab.spec.design import Optics
+from metafab.spec.device import Optics
 from metafab.spec.terms import Lens
 from tests.main_job import SMALL, metafab
 

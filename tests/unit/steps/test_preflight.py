@@ -11,7 +11,7 @@ import pytest
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.spec import Design, Light, load_design, terms
-from metafab.spec.design import Optics
+from metafab.spec.device import Optics
 from metafab.steps.job import Job
 from metafab.steps.preflight import PREFLIGHT, PreflightFigures, too_steep
 from tests.main_job import ROOT

@@ -14,7 +14,7 @@ from metafab.core.figures import LightMapping, LineStatistics
 from metafab.core.storage.files import file_sha256
 from metafab.fullwave.coupling import Coupling, CouplingRow
 from metafab.spec import Design, load_design, write_new
-from metafab.spec.design import Optics
+from metafab.spec.device import Optics
 from metafab.spec.new import NewLens
 from metafab.steps.images import DecodeFigures
 from metafab.steps.job import Job

@@ -15,7 +15,7 @@ from metafab.phase import profile_of, study
 from metafab.phase.studies.study import PhaseStudy
 from metafab.phase.studies.study_store import load_study, save_study
 from metafab.spec import Design
-from metafab.spec.design import Optics
+from metafab.spec.device import Optics
 
 
 @pytest.fixture(scope="module")

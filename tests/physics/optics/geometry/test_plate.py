@@ -15,7 +15,7 @@ from metafab.optics import Imaging, PsfNumerics, psf, relative_l2
 from metafab.optics.geometry.path import Ray
 from metafab.optics.geometry.plate import Plate, focus_shift_um
 from metafab.spec import Design
-from metafab.spec.design import Optics
+from metafab.spec.device import Optics
 from tests import optics_lens as lens
 
 PLATE = Plate(thickness_um=430.0, index=1.7601)

@@ -18,7 +18,7 @@ from metafab.optics import Apodisation, Imaging, PsfNumerics, apodised, ideal_fi
 from metafab.optics.sources.source import IdealField
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design, Device, load_design
-from metafab.spec.design import Optics
+from metafab.spec.device import Optics
 from metafab.steps.job import Job
 from metafab.steps.optics import ideal_source, lit_source
 from tests import optics_lens as lens

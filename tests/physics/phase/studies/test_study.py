@@ -12,7 +12,7 @@ from metafab.phase.pupil import FocalPlane
 from metafab.phase.studies.study import mask_field
 from metafab.phase.terms.helices import spiral_field
 from metafab.spec import Design
-from metafab.spec.design import Optics
+from metafab.spec.device import Optics
 from metafab.spec.terms import SpiralZones
 
 PUPIL = Pupil(32)

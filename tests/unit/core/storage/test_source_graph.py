@@ -77,6 +77,7 @@ def test_a_library_does_not_hang_on_what_comes_after_it(of_a_library: set[str]) 
     assert rooms == {"core", "spec", "materials", "cell", "library"}
     others = {
         "spec/design.py",
+        "spec/device.py",
         "spec/mask/files.py",
         "spec/scene/scene.py",
         "library/use/check.py",

@@ -21,7 +21,7 @@ from metafab.library.neighbours.model import Neighbours, TrainedLine
 from metafab.optics import NeighbourField
 from metafab.optics.sources.oblique import ObliqueField
 from metafab.spec import Design
-from metafab.spec.design import Optics
+from metafab.spec.device import Optics
 from metafab.steps.job import Job
 from metafab.steps.library import library_path
 from metafab.steps.optics import mask_source, pair_figures, point_spread, written_light
