@@ -32,7 +32,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.measure import measured
 from metafab.exposure import BeamPsf, BeamTerm, Exposure, ExposureNumerics, beam_psf, expose
-from metafab.exposure.expose import Correction
+from metafab.exposure.results import Correction
 from metafab.layout import Lattice, PillarMap
 from metafab.spec.mask import Dose, ExposureProcess
 

@@ -9,7 +9,8 @@
 - ``beside_lens``  shapes of a mask beside a lens: other copies, frame, text, test structures
 - ``shape``      sizes to draw at one dose
 - ``etch``       sizes after the etch: bias and microloading
-- ``expose``     :func:`expose`: printed sizes, corrected doses, dose classes; ``exposure.json``
+- ``expose``     :func:`expose`: printed sizes, corrected doses, dose classes
+- ``results``    what an exposure finds; ``exposure.json``
 - ``size_model``  sizes of measured pillars as functions of a process
 - ``fit``        process from measured sizes
 - ``process_file``  table of measured sizes to process file
@@ -26,17 +27,16 @@ from metafab.exposure.energy.beside import OtherLens as OtherLens
 from metafab.exposure.energy.resist import ResistEnergy
 from metafab.exposure.expose import (
     ExposedLens,
-    Exposure,
-    ExposureFigures,
     ExposureNumerics,
     expose,
     expose_lenses,
 )
-from metafab.exposure.expose import ExposureRecord as ExposureRecord
-from metafab.exposure.expose import SampledPillar as SampledPillar
-from metafab.exposure.expose import SizeErrors as SizeErrors
-from metafab.exposure.expose import load_record as load_record
-from metafab.exposure.expose import save_record as save_record
+from metafab.exposure.results import Exposure, ExposureFigures
+from metafab.exposure.results import ExposureRecord as ExposureRecord
+from metafab.exposure.results import SampledPillar as SampledPillar
+from metafab.exposure.results import SizeErrors as SizeErrors
+from metafab.exposure.results import load_record as load_record
+from metafab.exposure.results import save_record as save_record
 from metafab.spec.mask import BeamTerm
 
 __all__ = [

@@ -19,7 +19,7 @@ from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
 from metafab.exposure.electrons.beam import BeamPsf
 from metafab.exposure.energy.far import LongRange, block_masses
-from metafab.exposure.expose import Exposure
+from metafab.exposure.results import Exposure
 from metafab.layout import PillarMap
 from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import bands, resized

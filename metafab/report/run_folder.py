@@ -28,7 +28,7 @@ from metafab.spec.terms import forms_images, has_lobe
 from metafab.steps import RunSummary
 
 if TYPE_CHECKING:
-    from metafab.exposure.expose import ExposureRecord
+    from metafab.exposure.results import ExposureRecord
     from metafab.fullwave import Coupling, Patch
 
 Loaded = TypeVar("Loaded")
@@ -243,7 +243,7 @@ def _exposure(notes: dict[str, str], file: Path, masks: list[Path]) -> ExposureR
     """Load ``exposure.json``; None if it is missing, and with a note if it is damaged or of another mask."""
     if not file.is_file():
         return None
-    from metafab.exposure.expose import load_record
+    from metafab.exposure.results import load_record
 
     record = load_record(file)
     if record is not None and record.mask_sha256 in {file_sha256(mask) for mask in masks if mask.is_file()}:

@@ -21,8 +21,8 @@ from metafab.report.style import (
 )
 
 if TYPE_CHECKING:
-    from metafab.exposure.expose import SizeErrors
     from metafab.exposure.prediction import SizeMap
+    from metafab.exposure.results import SizeErrors
 
 _INKS = (Y_COLOUR, X_COLOUR)
 #: The first of two curves that may coincide is the wider.

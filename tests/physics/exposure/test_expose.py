@@ -24,7 +24,7 @@ from metafab.exposure import (
     load_record,
     save_record,
 )
-from metafab.exposure.expose import Correction
+from metafab.exposure.results import Correction
 from metafab.layout import Lattice, PillarMap
 from metafab.layout.outlines import Outline
 from tests.physics.exposure.conftest import BEAM, disc, pattern
