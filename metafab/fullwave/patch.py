@@ -2,8 +2,9 @@
 
 The patch is simulated with a frame of its real neighbours, so that the effect of the periodic images decays before it
 reaches the patch. Three fields are compared: of Meep, of the library, and of each pillar alone on Meep's grid. The last
-one separates coupling from the error of the grid. Each field consists of all propagating orders of the period (no
-evanescent ones), traced back to the plane where the pillars end and sampled at the sites.
+one separates coupling from the error of the grid. A library that holds a model of neighbours adds a fourth, which is
+compared with the coupling by Meep added to the library's field. Each field consists of all propagating orders of the
+period (no evanescent ones), traced back to the plane where the pillars end and sampled at the sites.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from metafab.core.storage.hdf5 import create, open_kind, put
 from metafab.fullwave.written import library_responses, supercell_at
 from metafab.layout import PillarMap
 from metafab.library import Library
+from metafab.library.neighbours import solve_supercell as solve_by_model
 
 KIND = "metafab patch"
 FORMAT = 1
@@ -71,6 +73,8 @@ class Patch:
     seconds: float  #: Time of the simulation.
     pixels_per_period: int  #: Resolution of the grid.
     padding_sites: int  #: Neighbours simulated on each side of the patch.
+    #: Shape (n_y, n_x), field by the library's model of neighbours; None where the library holds none.
+    neighbours: ComplexArray | None = None
 
     @property
     def against_library(self) -> FieldDifference:
@@ -86,6 +90,13 @@ class Patch:
     def grid(self) -> FieldDifference:
         """Pillars alone on Meep's grid against the library."""
         return field_difference(self.alone, self.library)
+
+    @property
+    def model(self) -> FieldDifference | None:
+        """Field by the model of neighbours against the library's with the coupling by Meep, which has no grid error."""
+        if self.neighbours is None:
+            return None
+        return field_difference(self.neighbours, self.library + self.full_wave - self.alone)
 
 
 def field_difference(field: ComplexArray, reference: ComplexArray) -> FieldDifference:
@@ -146,6 +157,11 @@ def solve_patch(
     def field(amplitude: ComplexArray) -> ComplexArray:
         return _inside(at_sites(supercell, answer.order, amplitude), padding)
 
+    neighbours = None
+    if library.neighbours is not None and np.all(supercell.size_nm > 0.0):
+        model = solve_by_model(library, supercell)
+        axis = POLARISATIONS.index(polarisation)
+        neighbours = _inside(at_sites(supercell, model.order, model.t[:, axis, axis]), padding)
     return Patch(
         x_um=plan.x_um[padding : plan.x_um.size - padding],
         y_um=plan.y_um[padding : plan.y_um.size - padding],
@@ -157,6 +173,7 @@ def solve_patch(
         seconds=answer.seconds,
         pixels_per_period=plan.settings.pixels_per_period,
         padding_sites=padding,
+        neighbours=neighbours,
     )
 
 
@@ -184,8 +201,10 @@ def save_patch(patch: Patch, path: Path, *, inputs_sha256: str) -> None:
             ("full_wave", "field behind the pillars over incident field, by Meep"),
             ("library", "field over incident field, stitched from the library"),
             ("alone", "field over incident field, stitched from each pillar alone on the grid of Meep"),
+            ("neighbours", "field over incident field, by the library's model of neighbours"),
         ):
-            put(file, name, getattr(patch, name), units="1", description=text, dims=("y_um", "x_um"))
+            if (field := getattr(patch, name)) is not None:
+                put(file, name, field, units="1", description=text, dims=("y_um", "x_um"))
 
 
 def load_patch(path: Path) -> Patch:
@@ -198,6 +217,7 @@ def load_patch(path: Path) -> Patch:
             pixels_per_period=int(file.attrs["pixels_per_period"]),
             padding_sites=int(file.attrs["padding_sites"]),
             **{name: file[name][()] for name in ("x_um", "y_um", "full_wave", "library", "alone")},
+            neighbours=file["neighbours"][()] if "neighbours" in file else None,
         )
 
 

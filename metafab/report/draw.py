@@ -210,11 +210,15 @@ def _fullwave(run: RunFolder) -> Iterator[Plan]:
         yield Plan(f"patch_phase_{name}", f"Phase behind a patch, {title.lower()}", phase, (4.0, 3.4), PICTURE)
         share = partial(mask.patch_amplitude, field, *places, title=title, largest=largest)
         yield Plan(f"patch_amplitude_{name}", f"Amplitude behind a patch, {title.lower()}", share, (4.0, 3.4), PICTURE)
-    for name, title, field in (
-        ("library", "Difference", patch.library),
-        ("coupling", "Difference from single pillars on Meep's grid", patch.alone),
-    ):
-        paint = partial(mask.patch_amplitude, patch.full_wave - field, *places, title=title, largest=largest)
+    differences = [
+        ("library", "Difference", patch.full_wave - patch.library),
+        ("coupling", "Difference from single pillars on Meep's grid", patch.full_wave - patch.alone),
+    ]
+    if patch.neighbours is not None:
+        among = patch.library + patch.full_wave - patch.alone
+        differences.append(("model", "Difference from the model of neighbours", among - patch.neighbours))
+    for name, title, difference in differences:
+        paint = partial(mask.patch_amplitude, difference, *places, title=title, largest=largest)
         yield Plan(f"patch_difference_{name}", title, paint, (4.0, 3.4), PICTURE)
 
 

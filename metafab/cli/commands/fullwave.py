@@ -141,8 +141,9 @@ def patch_command(
             patch = fullwave.solve_patch(plan, opened, polarisation, pool, work.progress)
     fullwave.save_patch(patch, path, inputs_sha256=fingerprint(file_sha256(layout), at_um, size_um, polarisation))
     differences = asdict(patch.against_library)
-    for name, difference in (("coupling", patch.coupling), ("grid", patch.grid)):
-        differences |= {f"{name}_{figure}": value for figure, value in asdict(difference).items()}
+    for name, difference in (("coupling", patch.coupling), ("grid", patch.grid), ("model", patch.model)):
+        if difference is not None:
+            differences |= {f"{name}_{figure}": value for figure, value in asdict(difference).items()}
     show(
         differences,
         json_,

@@ -271,7 +271,14 @@ def _rows(coupling: Coupling) -> str:
 
 def _patch(patch: Patch, drawn: Drawn) -> str:
     kinds = ("phase_meep", "phase_library", "amplitude_meep", "amplitude_library", "difference_library")
-    names = [f"patch_{kind}" for kind in (*kinds, "difference_coupling")]
+    names = [f"patch_{kind}" for kind in (*kinds, "difference_coupling", "difference_model")]
+    compared = [
+        ("Meep against the library", patch.against_library),
+        ("Meep against single pillars on Meep's grid: coupling of neighbours", patch.coupling),
+        ("single pillars on Meep's grid against the library: error of the grid", patch.grid),
+    ]
+    if patch.model is not None:
+        compared.append(("model of neighbours against this coupling, added to the library's field", patch.model))
     rows = [
         [
             escape(text),
@@ -279,11 +286,7 @@ def _patch(patch: Patch, drawn: Drawn) -> str:
             html.number(difference.phase_rms_rad),
             html.number(difference.relative_l2),
         ]
-        for text, difference in (
-            ("Meep against the library", patch.against_library),
-            ("Meep against single pillars on Meep's grid: coupling of neighbours", patch.coupling),
-            ("single pillars on Meep's grid against the library: error of the grid", patch.grid),
-        )
+        for text, difference in compared
     ]
     caption = (
         f"{patch.x_um.size} x {patch.y_um.size} pillars of the mask around ({patch.x_um.mean():.1f}, "

@@ -11,11 +11,13 @@ import pytest
 from metafab import fullwave
 from metafab.cell.meep import SupercellSettings
 from metafab.cell.meep.supercell import Cost
+from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.core.errors import InputError, SolverError
 from metafab.fullwave.patch import field_difference
 from metafab.fullwave.written import library_responses
 from metafab.layout import PillarMap
 from metafab.library import Library
+from metafab.library.neighbours import Neighbours
 from tests.fake_meep import UncoupledPillars
 from tests.unit.fullwave.conftest import QUICK
 
@@ -39,6 +41,32 @@ def test_planted_coupling_of_a_patch_is_found(pillars: PillarMap, ramp_library: 
     np.testing.assert_allclose(patch.full_wave - patch.alone, 0.1, atol=1e-12)
     scale = np.sqrt(np.mean(np.abs(patch.alone) ** 2))
     assert patch.coupling.relative_l2 == pytest.approx(0.1 / scale)
+
+
+def test_a_model_of_neighbours_is_judged_by_the_coupling_alone(
+    pillars: PillarMap, ramp_library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A model that predicts the planted coupling has no error, whatever the error of the grid."""
+
+    def solved(library: Library, supercell: Supercell) -> SupercellOrders:
+        order = supercell.propagating_orders("x")
+        t = np.zeros((len(order), 2, 2), dtype=np.complex128)
+        for axis, responses in enumerate(library_responses(supercell, library)):
+            t[:, axis, axis] = supercell.local_period(order, responses)
+        t[np.all(order == 0, axis=1)] += 0.1
+        return SupercellOrders(supercell, order, t, error=0.0, seconds=0.0)
+
+    monkeypatch.setattr("metafab.fullwave.patch.solve_by_model", solved)
+    known = replace(ramp_library, neighbours=Neighbours((), ()))
+    plan = fullwave.plan_patch(pillars, known, (1.0, -2.0), 1.75, padding_sites=2, settings=QUICK)
+    right = fullwave.solve_patch(plan, known, "x", UncoupledPillars({(0, 0): 0.1})).model
+    patch = fullwave.solve_patch(plan, known, "x", UncoupledPillars())
+    assert right is not None
+    assert right.relative_l2 < 1e-12
+    assert patch.model is not None
+    scale = np.sqrt(np.mean(np.abs(patch.library) ** 2))
+    assert patch.model.relative_l2 == pytest.approx(0.1 / scale)
+    assert fullwave.solve_patch(plan, ramp_library, "x", UncoupledPillars()).model is None
 
 
 def test_a_patch_that_does_not_settle_has_no_field(pillars: PillarMap, ramp_library: Library) -> None:
@@ -108,6 +136,9 @@ def test_a_patch_survives_its_file(pillars: PillarMap, ramp_library: Library, tm
     path = tmp_path / "patch.h5"
     fullwave.save_patch(patch, path, inputs_sha256="abc")
     back = fullwave.load_patch(path)
+    assert back.model is None
+    fullwave.save_patch(replace(patch, neighbours=1.1 * patch.library), path, inputs_sha256="abc")
+    assert fullwave.load_patch(path).model == replace(patch, neighbours=1.1 * patch.library).model
     for name in ("x_um", "y_um", "full_wave", "library", "alone"):
         np.testing.assert_array_equal(getattr(back, name), getattr(patch, name))
     assert (back.against_library, back.coupling, back.grid) == (patch.against_library, patch.coupling, patch.grid)
