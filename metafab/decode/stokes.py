@@ -23,15 +23,9 @@ from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import window_depth
 from metafab.decode.matching.levels import Levels
 from metafab.decode.matching.pooling import window_means
+from metafab.decode.segmentation.layers import assign_layers, connected_segments, depth_layers, grown
 from metafab.decode.segmentation.planes import Cells, Plane, fit_plane
-from metafab.decode.segmentation.segments import (
-    assign_layers,
-    connected_segments,
-    depth_layers,
-    grown,
-    interior,
-    segment_depth,
-)
+from metafab.decode.segmentation.segment_depth import interior, segment_depth
 from metafab.decode.segmentation.surfaces import layer_separation_per_m
 from metafab.optics.polarisation_states import StokesPsf
 

@@ -17,8 +17,9 @@ from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.registration.downsampling import relative_slices
 from metafab.decode.segmentation.assignment import measured_again
+from metafab.decode.segmentation.layers import FEWEST_PX, dilated
 from metafab.decode.segmentation.planes import Cells, Plane, distinct_planes
-from metafab.decode.segmentation.segments import FEWEST_PX, Regions, SegmentDepth, dilated
+from metafab.decode.segmentation.segments import Regions, SegmentDepth
 
 Part = tuple[slice, slice]
 

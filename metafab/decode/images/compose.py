@@ -23,8 +23,9 @@ from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.registration.downsampling import enlarged, relative_slices, repeated
 from metafab.decode.registration.twins import TwinGrid
+from metafab.decode.segmentation.layers import grown
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
-from metafab.decode.segmentation.segments import Regions, grown
+from metafab.decode.segmentation.segments import Regions
 
 #: Width of the bands of one depth in which tilted segments are deconvolved, as a share of the calibrated range: images
 #: are 0.006 dB worse than in bands of a quarter of it.

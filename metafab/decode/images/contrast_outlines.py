@@ -23,7 +23,8 @@ from metafab.core.parallel.executor import spread
 from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.fit import across_outlines, connected_moves
-from metafab.decode.segmentation.segments import Regions, dilated
+from metafab.decode.segmentation.layers import dilated
+from metafab.decode.segmentation.segments import Regions
 
 #: Side of the window whose light gives a ratio, frame pixels.
 _WINDOW_PX = 7

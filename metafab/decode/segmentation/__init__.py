@@ -8,7 +8,10 @@
 - ``fit``             null energy of the twins by place: whether a segment explains its pixels
 - ``continuous``      continuous surfaces: a depth for each pixel, and its doubt
 - ``objects``         objects that the segments of textured pixels miss: small ones, plain ones; plain parts
-- ``segments``        layers of depth, connected segments, the depth of a segment; Regions: all segments of a frame
+- ``segments``        SegmentDepth, and Regions: all segments of a frame
+- ``layers``          depths at which many pixels lie, and connected pixels of one layer
+- ``segment_depth``   the depth of a segment, measured on its interior
+- ``fragments``       small segments that belong to a larger neighbour
 - ``assignment``      pixels assigned to planes: segments and their depths
 - ``surfaces``        the layers, planes or continuous surfaces that fit the pixels' depths best
 - ``regions``         CostVolume and PixelDepth -> Regions: the whole way, with bars, small objects, outlines, doubt

@@ -16,21 +16,12 @@ from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import opened_by_square
 from metafab.decode.segmentation.continuous.doubt import right_depth
 from metafab.decode.segmentation.continuous.surface import matched_surface
+from metafab.decode.segmentation.fragments import fragment_targets
+from metafab.decode.segmentation.layers import assign_layers, connected_segments, depth_layers, grown
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, fit_plane, ransac_planes
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
-from metafab.decode.segmentation.segments import (
-    Regions,
-    SegmentDepth,
-    assign_layers,
-    connected_segments,
-    depth_layers,
-    fragment_targets,
-    grown,
-    interior,
-    is_textured,
-    segment_depth,
-    with_error_of_straight,
-)
+from metafab.decode.segmentation.segment_depth import interior, is_textured, segment_depth, with_error_of_straight
+from metafab.decode.segmentation.segments import Regions, SegmentDepth
 from metafab.decode.segmentation.slopes import along_planes
 
 #: Side of a cell of continuous surfaces, frame pixels.

@@ -32,7 +32,8 @@ from metafab.decode.segmentation.objects.small_objects import SmallObject, small
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.segments import Regions, SegmentDepth, interior, textured_components
+from metafab.decode.segmentation.segment_depth import interior, textured_components
+from metafab.decode.segmentation.segments import Regions, SegmentDepth
 from metafab.decode.segmentation.slopes import along_planes
 from metafab.decode.segmentation.surfaces import first_segments
 

@@ -20,6 +20,8 @@ from metafab.decode.segmentation.fit import (
     misfit_at,
     plane_misfit,
 )
+from metafab.decode.segmentation.fragments import adjacency
+from metafab.decode.segmentation.layers import depth_layers
 from metafab.decode.segmentation.planes import (
     CELL_PX,
     FEWEST_INLIERS,
@@ -30,7 +32,7 @@ from metafab.decode.segmentation.planes import (
     ransac_planes,
 )
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
-from metafab.decode.segmentation.segments import Regions, adjacency, depth_layers
+from metafab.decode.segmentation.segments import Regions
 
 #: Largest separation of layers, as a share of the calibrated range of vergence.
 _LAYER_SHARE = 1.0 / 24.0

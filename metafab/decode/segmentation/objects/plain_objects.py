@@ -17,9 +17,11 @@ from metafab.decode.confidence import LARGEST_ERROR, differs
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import spline_peaks
 from metafab.decode.segmentation.fit import TwinEnergies
+from metafab.decode.segmentation.layers import grown
 from metafab.decode.segmentation.planes import cell_side
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
-from metafab.decode.segmentation.segments import Regions, SegmentDepth, grown, segment_depth, with_error_of_straight
+from metafab.decode.segmentation.segment_depth import segment_depth, with_error_of_straight
+from metafab.decode.segmentation.segments import Regions, SegmentDepth
 
 #: Distance from a plain object's outline up to which its depth is measured, frame pixels.
 _RIM_PX = 12.0

@@ -19,7 +19,8 @@ from metafab.decode.segmentation.regions import (
     textured_pixel_depth,
     without_bright_light,
 )
-from metafab.decode.segmentation.segments import Regions, interior
+from metafab.decode.segmentation.segment_depth import interior
+from metafab.decode.segmentation.segments import Regions
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf

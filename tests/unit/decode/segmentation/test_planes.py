@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.segmentation.planes import Cells, Plane, distinct_planes, fit_plane, ransac_planes
-from metafab.decode.segmentation.segments import segment_depth
+from metafab.decode.segmentation.segment_depth import segment_depth
 
 NODES = np.linspace(1.5, 3.5, 13)
 SHAPE = (96, 120)
