@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
 
 import numpy as np
 import scipy.fft
@@ -18,13 +17,10 @@ import scipy.fft
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.optics.geometry.imaging import Imaging
-from metafab.optics.measures.metrics import main_lobe_px, orientation_deg
+from metafab.optics.measures.centring import Centring, find_centre
+from metafab.optics.measures.metrics import orientation_deg
 from metafab.optics.point_spread import Psf, PsfField
 from metafab.spec.fields import LARGEST
-
-#: Rule for the centre of a channel: mean over depth of the mass centres or of the main lobes, the centre of the circle
-#: on which the main lobe turns, or the middle pixel. "auto" is "turn" where a circle fits and "mass" elsewhere.
-Centring: TypeAlias = Literal["auto", "mass", "brightest", "turn", "none"]
 
 FEWEST_DEPTHS = 3
 #: Smallest side of a picture, pixels: a border and a lobe.
@@ -41,8 +37,6 @@ _MOST_PEAK = 1e50
 _MOST_PEAKS = 4
 #: Standard deviation of normal noise over its median absolute deviation.
 _MAD = 1.4826
-#: A circle fits main lobes with an rms residual up to this share of its radius, over this arc at least (degrees).
-_CIRCLE, _LEAST_ARC_DEG = 0.1, 45.0
 #: Share of a picture's light within the border from which the window is called too small.
 _CROWDED = 0.01
 #: Distance of the sensor where it is not given, mm; the decoder's depth does not depend on it.
@@ -65,6 +59,7 @@ class StackImport:
     centring: str  #: Rule by which each channel was centred.
     #: (x, y) of each channel's centre from its middle pixel; this place is now the middle pixel.
     centre_px: tuple[tuple[float, float], ...]
+    centre_error_px: tuple[float, ...]  #: Standard error of each; NaN unless a lobe turns on a circle.
     background: float  #: Median of the border, mean over the pictures, in the file's units; subtracted.
     noise: float  #: Standard deviation of the border, likewise.
     error: float  #: Largest relative L2 error of a picture by this noise.
@@ -114,7 +109,8 @@ def psf_of_stack(
     lit, background, noise = _without_background(stack, depth)
     shared = (stack == stack.max(axis=(-2, -1), keepdims=True)).sum(axis=(-2, -1))
     channels, _, n_y, n_x = stack.shape
-    rules, centres = zip(*(_centre_px(channel, centring) for channel in lit), strict=True)
+    found = [find_centre(channel, centring) for channel in lit]
+    centres = [one.place_px for one in found]
     pair = np.array([_moved(channel, place, integrated) for channel, place in zip(lit, centres, strict=True)])
     if channels == 1:
         made.append("the y image: the point reflection of the x image, of equal light")
@@ -136,7 +132,7 @@ def psf_of_stack(
     # Noise against the signal of each picture; the y image made of x has the same.
     error = (noise * math.sqrt(n_y * n_x) / np.linalg.norm(lit, axis=(-2, -1))).max(axis=0)
     crowded = float(((lit * _border((n_y, n_x))).sum(axis=(-2, -1)) / lit.sum(axis=(-2, -1))).max())
-    warnings = []
+    warnings = list(dict.fromkeys(one.warning for one in found if one.warning is not None))
     if crowded > _CROWDED:
         warnings.append(f"{100.0 * crowded:.2g} % of a picture's light lies in its border: photograph a larger window")
     if (most := int(shared.max())) > _MOST_PEAKS:
@@ -160,8 +156,9 @@ def psf_of_stack(
         channels=channels,
         window_px=(n_y, n_x),
         depth_m=tuple(depth.tolist()),
-        centring=" and ".join(dict.fromkeys(rules)),
+        centring=" and ".join(dict.fromkeys(one.rule for one in found)),
         centre_px=tuple(centres),
+        centre_error_px=tuple(one.error_px for one in found),
         background=float(background.mean()),
         noise=float(noise.mean()),
         error=float(error.max()),
@@ -264,47 +261,6 @@ def _without_background(stack: FloatArray, depth_m: FloatArray) -> tuple[FloatAr
         expected = "light above the background in each picture"
         raise InputError.single("PSF stack", "stack", expected, f"none in {where}", "expose longer, or leave it out")
     return lit, background, noise
-
-
-def _centre_px(channel: FloatArray, centring: Centring) -> tuple[str, tuple[float, float]]:
-    """Rule and centre (x, y) from the middle pixel of a channel's pictures, shape (n_depth, n_y, n_x)."""
-    if centring == "none":
-        return "none", (0.0, 0.0)
-    if centring in {"auto", "turn", "brightest"}:
-        lobes = np.array([main_lobe_px(picture)[:2] for picture in channel])
-        if centring == "brightest":
-            return "brightest", _pair(lobes.mean(axis=0))
-        centre = _circle_centre(lobes)
-        if centre is not None:
-            return "turn", _pair(centre)
-        if centring == "turn":
-            expected = f"main lobes on a circle, over {_LEAST_ARC_DEG:g} degrees or more"
-            raise InputError.single("PSF stack", "centring", expected, "other places", "choose `mass`")
-    n_y, n_x = channel.shape[1:]
-    total = channel.sum(axis=(1, 2))
-    x = (channel.sum(axis=1) @ (np.arange(n_x) - n_x // 2)) / total
-    y = (channel.sum(axis=2) @ (np.arange(n_y) - n_y // 2)) / total
-    return "mass", (float(x.mean()), float(y.mean()))
-
-
-def _pair(place: FloatArray) -> tuple[float, float]:
-    return float(place[0]), float(place[1])
-
-
-def _circle_centre(places: FloatArray) -> FloatArray | None:
-    """Centre of the least-squares circle (Kasa 1976) through places, shape (n, 2); None where none fits them."""
-    if len(places) < 4:  # three places always have a circle
-        return None
-    matrix = np.column_stack([places, np.ones(len(places))])
-    solved, _, rank, _ = np.linalg.lstsq(matrix, (places**2).sum(axis=1), rcond=None)
-    if rank < 3:
-        return None
-    centre = 0.5 * solved[:2]
-    spokes = places - centre
-    radius = np.hypot(*spokes.T)
-    arc_deg = np.degrees(np.ptp(np.unwrap(np.arctan2(spokes[:, 1], spokes[:, 0]))))
-    fits = np.std(radius) <= _CIRCLE * radius.mean() and radius.mean() >= 1.0 and arc_deg >= _LEAST_ARC_DEG
-    return np.asarray(centre) if fits else None
 
 
 def _moved(channel: FloatArray, centre_px: tuple[float, float], integrated: bool) -> FloatArray:

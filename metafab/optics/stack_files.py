@@ -72,6 +72,15 @@ def read_stack(path: Path, depths: int, names: Sequence[str] = ()) -> FloatArray
     return np.concatenate(stacks)
 
 
+def lowest_row_first(stack: FloatArray) -> FloatArray:
+    """Turn pictures, shape (..., n_y, n_x), with the top row first upside down about their middle row ``n_y // 2``.
+
+    Of an even number of rows, the top one becomes the lowest: the middle row of a file stays the middle.
+    """
+    turned = stack[..., ::-1, :]
+    return turned if stack.shape[-2] % 2 else np.roll(turned, 1, axis=-2)
+
+
 def read_depths(path: Path) -> FloatArray:
     """Read depths from a .npy file, or from a text file of numbers separated by commas, blanks or lines (# comments).
 

@@ -228,7 +228,7 @@ def import_command(
     from metafab import optics
     from metafab.core.storage.files import file_sha256, fingerprint, plain, require_file_output, require_hdf5_name
     from metafab.optics.measured_stack import psf_of_stack
-    from metafab.optics.stack_files import read_stack
+    from metafab.optics.stack_files import lowest_row_first, read_stack
 
     path = output or Path("psf.h5")
     require_hdf5_name(path)
@@ -243,7 +243,7 @@ def import_command(
         raise InputError.single(str(stack), "--channels", f"{channels}", f"{len(values)}", "name them with --dataset")
     try:
         psf, figures = psf_of_stack(
-            values[..., ::-1, :] if first_row == "top" else values,
+            lowest_row_first(values) if first_row == "top" else values,
             depth_m,
             pixel_um,
             split_um=split_um,

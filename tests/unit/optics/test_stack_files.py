@@ -12,7 +12,7 @@ from scipy.io import savemat
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
-from metafab.optics.stack_files import read_depths, read_stack
+from metafab.optics.stack_files import lowest_row_first, read_depths, read_stack
 
 DEPTHS = 5
 #: Two channels; no two axes of equal length.
@@ -152,3 +152,11 @@ def test_stacks_that_are_no_files_or_of_another_kind(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=words):
             read_stack(tmp_path / name, DEPTHS)
+
+
+@pytest.mark.parametrize("rows", [8, 9])
+def test_a_picture_is_turned_upside_down_about_its_middle_row(rows: int) -> None:
+    stack = np.zeros((1, 2, rows, 8))
+    stack[..., rows // 2, 3], stack[..., rows // 2 - 2, 5] = 1.0, 2.0  # the second one lies two rows above the middle
+    turned = lowest_row_first(stack)
+    assert (turned[..., rows // 2, 3] == 1.0).all() and (turned[..., rows // 2 + 2, 5] == 2.0).all()
