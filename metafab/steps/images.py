@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from metafab.decode import CameraFit, DecoderNumerics, Image4D
 
 
+#: Share of a camera's pixels far below its black level from which the level is called too high.
+_MOST_BELOW_BLACK = 0.01
+
+
 @dataclass(frozen=True)
 class CaptureFigures:
     """Figures of a raw frame."""
@@ -215,14 +219,35 @@ def decode_file(
     frame = camera.load_frame(raw_path, calibration, counts=counts or camera.Counts())
     if unfit == "refuse" and (fault := _unfit(frame.frame)) is not None:
         raise InputError(str(raw_path), [fault])
+    warnings: list[str] = []
+    if raw_path.suffix.lower() not in HDF5_SUFFIXES:
+        frame, warnings = _without_defects(frame)
     image = decode.decode(frame, calibration, numerics=numerics, progress=progress)
     reason = image.figures.reason or decode.NO_LIGHT
     if unfit == "refuse" and reason != decode.NO_LIGHT:
         raise InputError.single(str(raw_path), "frame", "one that can be decoded", reason, "is it this camera's?")
     if frame.saturation_assumed:
-        image = _with_warning(image, _assumed_saturation(frame))
+        warnings.append(_assumed_saturation(frame))
+    for warning in warnings:
+        image = _with_warning(image, warning)
     decode.save(image, path, inputs_sha256=fingerprint(file_sha256(raw_path), file_sha256(psf_path)))
     return image
+
+
+def _without_defects(frame: RawFrame) -> tuple[RawFrame, list[str]]:
+    """A camera's frame whose dead pixels hold no datum, and sentences about them and about its black level."""
+    from metafab.camera.frames.defects import dead_pixels, share_below_black
+
+    if (share := share_below_black(frame.frame, frame.read_noise_e)) > _MOST_BELOW_BLACK:
+        return frame, [
+            f"{100.0 * share:.2g} % of the pixels lie far below the black level: contrast and depth are wrong where it "
+            "is too high; state a lower one (`--black COUNTS`), or the read noise (`--read-noise-e E`)"
+        ]
+    dead = dead_pixels(frame.frame, frame.read_noise_e)
+    if not dead.any():
+        return frame, []
+    sentence = f"{int(dead.sum())} dead pixels, far darker than those on both sides of them, are left out"
+    return replace(frame, frame=np.where(dead, np.nan, frame.frame)), [sentence]
 
 
 def _assumed_saturation(frame: RawFrame) -> str:

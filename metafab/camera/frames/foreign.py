@@ -120,17 +120,21 @@ def save_counts(frame: RawFrame, path: Path, *, black: int = 0) -> None:
     """
     require_frame_name(path)
     meant = counts_of(frame, black=black)
-    half = [
-        max(-round(start / frame.pixel_um), round(start / frame.pixel_um) + count)
-        for start, count in zip(frame.origin_um[::-1], frame.frame.shape, strict=True)
-    ]
-    whole = np.full([2 * n for n in half], black, dtype=np.uint16)
-    row, column = (n + round(start / frame.pixel_um) for n, start in zip(half, frame.origin_um[::-1], strict=True))
+    whole = np.full(counted_shape(frame), black, dtype=np.uint16)
+    starts = (round(start / frame.pixel_um) for start in frame.origin_um[::-1])
+    row, column = (n // 2 + start for n, start in zip(whole.shape, starts, strict=True))
     n_y, n_x = frame.frame.shape
     counted = np.round(frame.frame / meant.electrons_per_count + black)
     whole[row : row + n_y, column : column + n_x] = np.clip(counted, 0, _FULL_COUNT)
     with whole_file(path) as part:
         _write(np.ascontiguousarray(whole[::-1]), part, path.suffix.lower())
+
+
+def counted_shape(frame: RawFrame) -> tuple[int, int]:
+    """(rows, columns) of the picture that :func:`save_counts` writes, with the axis in its middle."""
+    starts = (round(start / frame.pixel_um) for start in frame.origin_um[::-1])
+    n_y, n_x = (2 * max(-start, start + n) for start, n in zip(starts, frame.frame.shape, strict=True))
+    return n_y, n_x
 
 
 def _write(values: np.ndarray, path: Path, kind: str) -> None:

@@ -84,6 +84,7 @@ def capture_command(
     A frame is an .h5 with its truth, or counts in .tif, .png or .npy.
     """
     from metafab.camera import counts_of
+    from metafab.camera.frames.foreign import counted_shape
     from metafab.core.storage.files import HDF5_SUFFIXES, require_file_output, require_hdf5_name
     from metafab.core.storage.provenance import named_files
     from metafab.spec import load_scene
@@ -118,7 +119,7 @@ def capture_command(
         filmed = capture(scene, psf, path, frames, scene_path=scenes[0], seed=seed, black=black, progress=work.progress)
         for frame, file in filmed:
             counts = counts_of(frame, black=black) if in_counts else None
-            shape = frame.frame.shape
+            shape = counted_shape(frame) if in_counts else frame.frame.shape
             photons.append(float(frame.frame.sum()))
             files.append(file)
     answer = CaptureAnswer(

@@ -226,8 +226,10 @@ def _times(summary: RunSummary) -> dict[str, str]:
     spent_s = sum(seconds for step, seconds in summary.seconds.items() if step not in unchanged)
     lines = {"time": f"{spent_s:.3g} s in the steps that ran"}
     if unchanged:
-        saved_s = sum(seconds for step, seconds in summary.seconds.items() if step in unchanged)
-        lines["skipped"] = f"unchanged steps: {len(unchanged)}, which took {saved_s:.3g} s when they last ran"
+        # A run that was interrupted leaves no times.
+        saved_s = [summary.seconds[step] for step in unchanged if step in summary.seconds]
+        took = f", which took {sum(saved_s):.3g} s when they last ran" if len(saved_s) == len(unchanged) else ""
+        lines["skipped"] = f"unchanged steps: {len(unchanged)}{took}"
     return lines
 
 
