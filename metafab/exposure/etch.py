@@ -10,6 +10,7 @@ with the density of the printed pillars, averaged by a Gaussian of the given ran
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -38,6 +39,7 @@ class MadePillars:
     bias_rms_nm: float  #: Rms of made less drawn size about the mean.
     missing: int  #: Pillars that are not printed, or etched away.
     density: float  #: Mean share of the surface under printed pillars, weighted by pillars.
+    narrowest_nm: float  #: Smallest width or length of a made pillar; inf if none is left.
 
 
 def made_pillars(wanted: PillarMap, exposed: Exposure, etch: Etch, outline: Outline = RECTANGLE) -> MadePillars:
@@ -76,14 +78,17 @@ def made_pillars(wanted: PillarMap, exposed: Exposure, etch: Etch, outline: Outl
 
     pillars = resized(drawn, made_nm)
     made_sizes, made_index = pillars.size_nm().T, pillars.to_array()
-    total, square, count = 0.0, 0.0, 0
+    total, square, count, narrowest_nm = 0.0, 0.0, 0, math.inf
     for rows in bands(index):
         stand = made_index[rows] > 0
-        bias = made_sizes[:, made_index[rows][stand]] - wanted_nm[:, wanted_index[rows][stand]]
+        here = made_sizes[:, made_index[rows][stand]]
+        bias = here - wanted_nm[:, wanted_index[rows][stand]]
+        narrowest_nm = min(narrowest_nm, float(here.min(initial=math.inf)))
         total, square, count = total + float(bias.sum()), square + float((bias**2).sum()), count + bias.size
     bias_nm = total / max(1, count)
     rms_nm = float(np.sqrt(max(0.0, square / max(1, count) - bias_nm**2)))
-    return MadePillars(pillars, bias_nm, rms_nm, int(np.count_nonzero(index)) - count // 2, mean)
+    missing = int(np.count_nonzero(index)) - count // 2
+    return MadePillars(pillars, bias_nm, rms_nm, missing, mean, narrowest_nm)
 
 
 def local_density(pillars: PillarMap, area_nm2: Callable[[slice], FloatArray], etch: Etch) -> tuple[LongRange, float]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
@@ -47,6 +48,8 @@ _Numbered: TypeAlias = tuple[int, Supercell]  # a block and its place in the fil
 #: Bound on the error of the local-period approximation over the rms step of t from site to site. On seven silicon rows
 #: (lens-like, random, nearly equal) the share was 0.16 to 0.47, on nine rows of 2 to 13 random sizes up to 0.50.
 _PER_STEP = 0.6
+#: Smallest size of a pillar over the wavelength; a smaller one is probably in micrometres.
+_LEAST_SIZE = 1e-3
 #: Largest accepted file of supercells, MB, unless a limit ``memory_mb`` is stated, for example by a design.
 _LARGEST_MB = 4.0
 #: Largest accepted memory of Meep, MB, unless that limit is stated; `metafab patch` has the same.
@@ -121,7 +124,12 @@ def read_blocks(
         size_nm = block.size_nm
         for axis, name in enumerate(("width_nm", "length_nm")):
             largest, period = float(size_nm[..., axis].max()), cell.period_nm[axis]
-            if largest > period:
+            smallest = float(size_nm[..., axis].min(where=size_nm[..., axis] > 0.0, initial=math.inf))
+            if smallest < (least := _LEAST_SIZE * cell.wavelength_nm):
+                expected = f"0, or at least {least:g} nm, a thousandth of the wavelength"
+                remedy = "is it in nanometres?"
+                faults.append(Fault(f"blocks[{number}].{name}", expected, f"{smallest:g} nm", remedy))
+            elif largest > period:
                 expected, remedy = f"at most the period of {period:g} nm", "make the pillar smaller"
                 faults.append(Fault(f"blocks[{number}].{name}", expected, f"{largest:g} nm", remedy))
             elif solver in {"model", "lone"}:

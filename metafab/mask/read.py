@@ -321,7 +321,8 @@ def format_of(path: Path) -> Format:
     """Return the format of a file, by its first bytes; InputError if it is missing, or neither GDSII nor OASIS."""
     expected, remedy = "a GDSII or OASIS file", "write it with `metafab layout DESIGN.toml`"
     if not path.is_file():
-        raise InputError.single(str(path), "file", expected, "nothing at that path", remedy)
+        got = "a folder" if path.is_dir() else "nothing at that path"
+        raise InputError.single(str(path), "file", expected, got, remedy)
     try:
         with path.open("rb") as stream:
             beginning = stream.read(len(MAGIC))

@@ -67,10 +67,12 @@ def read_table(path: Path, name: str) -> IndexRecord:
     increasing wavelengths with n > 0 and k >= 0, raise InputError.
     """
 
-    def refuse(got: str) -> InputError:
+    def refuse(got: str, remedy: str = "correct the file") -> InputError:
         expected = "a CSV file with the header wavelength_nm,n,k and rows of increasing wavelength, n > 0, k >= 0"
-        return InputError.single(str(path), "file", expected, got, "correct the file")
+        return InputError.single(str(path), "file", expected, got, remedy)
 
+    if not path.is_file():
+        raise refuse("a folder" if path.is_dir() else "no file at that path", "check the path")
     try:
         require_modest_table(path)
         lines = path.read_text(encoding="utf-8-sig").splitlines()
@@ -87,9 +89,14 @@ def read_table(path: Path, name: str) -> IndexRecord:
     if table.ndim != 2 or table.shape[1] != len(_HEADER):
         raise refuse("rows that do not hold three numbers each")
     wavelength_nm, n, k = table.T
-    # `not all(valid)` also catches NaN.
-    if not (np.all(np.isfinite(table)) and np.all(np.diff(wavelength_nm) > 0) and np.all(n > 0) and np.all(k >= 0)):
-        raise refuse("rows that break these rules")
+    sound = np.isfinite(table).all(axis=1) & (n > 0) & (k >= 0)
+    if not sound.all():
+        first = int(sound.argmin())
+        raise refuse(f"the values {', '.join(rows[1 + first])} in row {first + 1}")
+    if not (rises := np.diff(wavelength_nm) > 0).all():
+        first = int(rises.argmin())
+        got = f"{wavelength_nm[first + 1]:g} nm after {wavelength_nm[first]:g} nm in row {first + 2}"
+        raise refuse(got, "sort the rows by wavelength, each once")
 
     def index(wavelength: float) -> complex:
         return complex(np.interp(wavelength, wavelength_nm, n), np.interp(wavelength, wavelength_nm, k))

@@ -132,7 +132,8 @@ def psf_of_stack(
     # Noise against the signal of each picture; the y image made of x has the same.
     error = (noise * math.sqrt(n_y * n_x) / np.linalg.norm(lit, axis=(-2, -1))).max(axis=0)
     crowded = float(((lit * _border((n_y, n_x))).sum(axis=(-2, -1)) / lit.sum(axis=(-2, -1))).max())
-    warnings = list(dict.fromkeys(one.warning for one in found if one.warning is not None))
+    # With two channels, the place of each image moves with its centre; the twin made of one is reflected about it.
+    warnings = [one.warning for one in found if channels == 1 and one.warning is not None]
     if crowded > _CROWDED:
         warnings.append(f"{100.0 * crowded:.2g} % of a picture's light lies in its border: photograph a larger window")
     if (most := int(shared.max())) > _MOST_PEAKS:

@@ -22,6 +22,8 @@ from metafab.core.storage.pictures import read_array, require_few
 _PICTURES = (".npy", ".npz", ".tif", ".tiff", ".png")
 #: A line of a table in which a comma is the decimal point: as two depths, 0,25 would be 0 and 25 m.
 _DECIMAL_COMMA = re.compile(r"-?0,\d+")
+#: Header that a table of depths may have.
+_HEADER = "depth_m"
 _REMEDY = "export the stack as .npy of shape (depths, rows, columns) or (2, depths, rows, columns)"
 
 
@@ -84,14 +86,15 @@ def lowest_row_first(stack: FloatArray) -> FloatArray:
 def read_depths(path: Path) -> FloatArray:
     """Read depths from a .npy file, or from a text file of numbers separated by commas, blanks or lines (# comments).
 
-    Shape (n,), in the file's order and units. InputError if it cannot be read, or holds something other than numbers.
+    The first line of a text file may be the header ``depth_m``. Shape (n,), in the file's order and units. InputError
+    if it cannot be read, or holds something other than numbers.
     """
     if path.suffix.lower() == ".npy":
         values = read_array(path)
         if values.dtype.kind not in "iuf":
             raise InputError.single(str(path), "depths", "real numbers", str(values.dtype))
         return values.astype(np.float64).ravel()
-    remedy = "one depth in metres a line, with a decimal point"
+    remedy = f"one depth in metres a line, with a decimal point; the first line may be `{_HEADER}`"
     try:
         require_modest_table(path)
         text = path.read_text(encoding="utf-8-sig")
@@ -101,6 +104,8 @@ def read_depths(path: Path) -> FloatArray:
     lines = [line for each in text.splitlines() if (line := each.partition("#")[0].strip())]
     if len(lines) > 1 and all(_DECIMAL_COMMA.fullmatch(line) for line in lines):
         raise InputError.single(str(path), "depths", "numbers", f"decimal commas, such as {lines[0]}", remedy)
+    if lines[:1] == [_HEADER]:
+        del lines[0]
     depths_m: list[float] = []
     for word in (word for line in lines for word in line.replace(",", " ").split()):
         try:

@@ -110,9 +110,10 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     figures.require_printed(design.name, "process.exposure.base_over_clearing_dose")
     etch = design.process.etch or Etch()
     made = made_pillars(exposed.drawn, exposed.exposure, etch, Outline.of(design))
+    is_rectangle = design.unit_cell.cell.shape == "rectangle"
+    _require_standing(made, figures.corner_radius_nm if is_rectangle else 0.0, etch, design.name)
     library = open_library(job)
     corner = dict(etch.corner)
-    is_rectangle = job.design.unit_cell.cell.shape == "rectangle"
     if is_rectangle:
         corner = {"corner_radius_nm": round(figures.corner_radius_nm, 3), **corner}
     with work.processes() as executor:
@@ -123,6 +124,18 @@ def made_mask(job: Job, path: Path, printed: Printed, copy: int = 1) -> MadeMask
     # The cells have the mean radius. The area that a rounded corner lacks grows as its radius squared.
     uneven = 2.0 * at.change * figures.corner_radius_rms_nm / figures.corner_radius_nm if is_rectangle else 0.0
     return MadeMask(replace(at, error=math.hypot(at.error, uneven)), made, figures)
+
+
+def _require_standing(made: MadePillars, radius_nm: float, etch: Etch, name: str) -> None:
+    """Refuse an etch that leaves no pillar, or pillars narrower than the round corners that they are printed with."""
+    if math.isinf(made.narrowest_nm):
+        got, expected = "none is left", "an etch that leaves pillars"
+    elif made.narrowest_nm < 2.0 * radius_nm:
+        got = f"{made.narrowest_nm:.3g} nm"
+        expected = f"made pillars of {2.0 * radius_nm:.3g} nm or more, twice the radius of their printed corners"
+    else:
+        return
+    raise InputError.single(name, "process.etch", expected, f"{got} at a bias of {etch.bias_nm:g} nm", "etch less")
 
 
 def expose_mask(

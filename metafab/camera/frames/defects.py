@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.spec.fields import LARGEST
 
 #: Share of the light on both of its sides that a pixel holds at least, as an image is blurred over pixels, and standard
 #: deviations of noise by which a dead one has to be below them.
@@ -20,7 +21,7 @@ def dead_pixels(frame: FloatArray, read_noise_e: float) -> NDArray[np.bool_]:
     ``frame``, shape (n_rows, n_columns), is in electrons. Shot noise and ``read_noise_e`` explain none of them; in the
     dark, dead pixels do no harm, and none is found. Up to two dead rows or columns may touch. The same shape.
     """
-    light = np.where(np.isfinite(frame), frame, -np.inf)
+    light = np.where(np.abs(frame) <= LARGEST, frame, np.nan)
     dead = np.zeros(frame.shape, dtype=bool)
     for axis in (0, 1):
         for before, after in _SIDES:
@@ -32,7 +33,7 @@ def dead_pixels(frame: FloatArray, read_noise_e: float) -> NDArray[np.bool_]:
             noise = np.sqrt(np.maximum(least, 0.0) + np.maximum(here, 0.0) + 2.0 * read_noise_e**2)
             found = (here < _LEAST_SHARE * least) & (least - here > _SIGMAS * noise)
             np.moveaxis(dead, axis, 0)[before : len(lines) - after] |= found
-    return dead & np.isfinite(frame)
+    return dead
 
 
 def share_below_black(frame: FloatArray, read_noise_e: float) -> float:

@@ -170,8 +170,13 @@ def untreated(cell: PillarCell) -> list[Fault]:
         faults.append(Fault("shape, corner_radius_nm", f"{shapes} for {purpose}", cell.shape))
     half_nm, radius_nm = _sizes(cell)
     reach = [radius / half for radius, half in zip(radius_nm, half_nm, strict=True)]
-    if min(radius_nm) <= 0.0 or (math.hypot(*reach) if cell.is_staggered else max(reach)) > 1.0 - _SMALLEST_GAP:
-        expected = f"sizes above 0 that leave a gap of {100.0 * _SMALLEST_GAP:.0f} % for {purpose}"
+    reached = math.hypot(*reach) if cell.is_staggered else max(reach)
+    if min(radius_nm) <= 0.0:
+        got = f"{cell.width_nm:g} x {cell.length_nm:g} nm"
+        faults.append(Fault("width_nm, length_nm", f"sizes above 0 for {purpose}", got))
+    elif reached > 1.0 - _SMALLEST_GAP:
+        largest = [2.0 * radius * (1.0 - _SMALLEST_GAP) / reached for radius in radius_nm]
+        expected = f"at most {largest[0]:.4g} x {largest[1]:.4g} nm, of pillars of this form, for {purpose}"
         faults.append(Fault("width_nm, length_nm", expected, f"{cell.width_nm:g} x {cell.length_nm:g} nm"))
     layers = (*cell.under, *cell.over)
     if any(each.n_inside != each.n_around and (each.width_nm, each.length_nm) != (None, None) for each in layers):

@@ -138,7 +138,8 @@ def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) 
     """
     path, expected = Path(path), f"a {kind} file (HDF5, format {format_version} or older)"
     if not path.is_file():
-        raise InputError.single(str(path), "file", expected, "nothing at that path", remedy)
+        got = "a folder" if path.is_dir() else "nothing at that path"
+        raise InputError.single(str(path), "file", expected, got, remedy)
     try:
         if _damaged(path):
             got = "a damaged file (its bytes are not those that were written)"

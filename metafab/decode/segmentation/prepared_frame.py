@@ -55,7 +55,7 @@ _BEYOND_PX = 12
 #: Distance from a lit pixel up to which images are deconvolved, downsampled pixels.
 _LIT_MARGIN_PX = 2
 #: Reason for an empty image of a dark frame.
-NO_LIGHT = "there is no light in the frame"
+NO_LIGHT = "there is no light in the frame, or none that differs from an even level"
 
 
 @dataclass(frozen=True)

@@ -176,6 +176,14 @@ def _sizes(columns: Mapping[str, NDArray[np.generic]], path: Path) -> tuple[tupl
     return (width, length), False
 
 
+def _require_moduli(values: NDArray[np.generic], column: str, path: Path) -> None:
+    """Refuse negative moduli."""
+    lowest = float(np.nanmin(np.asarray(values, dtype=np.float64), initial=np.inf))
+    if lowest < 0.0:
+        expected, remedy = "moduli of 0 or more", "are they decibels? Then convert them: 10^(dB / 20)"
+        raise InputError.single(str(path), column, expected, f"{lowest:g}", remedy)
+
+
 def _amplitude(columns: Mapping[str, NDArray[np.generic]], name: str, path: Path) -> ComplexArray | None:
     """Complex amplitude of one name; None if the file has none."""
     if name in columns:
@@ -185,6 +193,8 @@ def _amplitude(columns: Mapping[str, NDArray[np.generic]], name: str, path: Path
         return None
     if parts.keys() == {"_re", "_im"}:
         return np.asarray(parts["_re"] + 1j * parts["_im"], dtype=np.complex128)
+    if "_abs" in parts and not {"_re", "_im"} & parts.keys():
+        _require_moduli(parts["_abs"], f"{name}_abs", path)
     if parts.keys() == {"_abs", "_phase_rad"}:
         phases = parts["_phase_rad"][np.isfinite(parts["_phase_rad"])]
         if phases.size and (span := float(np.ptp(phases))) > _WIDEST_RAD:

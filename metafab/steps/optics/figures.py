@@ -16,6 +16,9 @@ if TYPE_CHECKING:
     from metafab.optics import Psf
     from metafab.optics.measures.landing import Places
 
+#: Share of the transmitted light below which a window is told to miss most of the spot, percent.
+_LEAST_HELD_PERCENT = 2.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class PairFigures:
@@ -67,7 +70,7 @@ class PairFigures:
 
     def _of_window(self) -> list[str]:
         if self.light_at_um is None:
-            return [] if self.is_whole else [self._cut()]
+            return self._spread() if self.is_whole else [self._cut()]
         (x, y), (x_2, y_2) = self.light_at_um
         place = f"({x:.4g}, {y:.4g})" if (x, y) == (x_2, y_2) else f"({x:.4g}, {y:.4g}) and ({x_2:.4g}, {y_2:.4g})"
         return [
@@ -76,7 +79,9 @@ class PairFigures:
             "`verify.window_px`"
         ]
 
-    def _cut(self) -> str:
+    @property
+    def _held_percent(self) -> float | None:
+        """Least share of the transmitted light that a window holds at the middle depth; None if it is not known."""
         middle = len(self.depth_m) // 2
         shares = [
             100.0 * efficiency[middle] / transmitted
@@ -86,7 +91,22 @@ class PairFigures:
             )
             if transmitted
         ]
-        held = f", which holds {min(shares):.2g} % of the transmitted light" if shares else ""
+        return min(shares, default=None)
+
+    def _spread(self) -> list[str]:
+        """A sentence on a window that is far smaller than the spot."""
+        if (held := self._held_percent) is None or held >= _LEAST_HELD_PERCENT:
+            return []
+        return [
+            f"the window holds {held:.2g} % of the transmitted light: the spot is wider, or the light goes to many "
+            "places. Are focal length and sensor's focus as meant? Widen the window with `verify.window_px` "
+            "(`metafab psf --window-px N`)"
+        ]
+
+    def _cut(self) -> str:
+        held = (
+            "" if self._held_percent is None else f", which holds {self._held_percent:.2g} % of the transmitted light"
+        )
         return (
             f"the brightest pixel lies on the edge of the window{held}: lobe, widths and shares are those of a part of "
             "the image. Widen the window with `verify.window_px` (`metafab psf --window-px N`), or move it with "

@@ -69,3 +69,7 @@ def test_pillars_that_are_etched_away_are_counted(half_empty: PillarMap) -> None
     exposed = expose(half_empty, SHARP, numerics=ExposureNumerics(keep_sizes=True))
     found = made_pillars(half_empty, exposed, Etch(bias_nm=-125.0))
     assert found.missing == exposed.figures.pillars
+    assert np.isinf(found.narrowest_nm)
+    some = made_pillars(half_empty, exposed, Etch(bias_nm=-7.0))
+    sizes_nm = some.pillars.size_nm()[np.unique(some.pillars.to_array())[1:]]
+    assert some.narrowest_nm == pytest.approx(sizes_nm.min())

@@ -60,6 +60,11 @@ def test_faulty_blocks_are_refused(smooth_library: Library, tmp_path: Path, bloc
         ("model", 99.0, "blocks[1].width_nm`: expected 100 to 250 nm, the library's sweep, got 99 nm"),
         ("lone", 250.0000001, "got 250.0000001 nm"),
         ("model", 0.0, "an empty site"),
+        (
+            "rcwa",
+            0.15,
+            "expected 0, or at least 0.8 nm, a thousandth of the wavelength, got 0.15 nm; is it in nanometres?",
+        ),
         ("lone", 0.0, None),
         ("rcwa", 99.0, None),
     ],

@@ -102,9 +102,10 @@ def test_depths_from_files(tmp_path: Path) -> None:
     (tmp_path / "lines.csv").write_text("# m\n0.25\n0.30\n0.35  # last\n")
     (tmp_path / "row.csv").write_text("0.25, 0.30, 0.35")
     (tmp_path / "marked.csv").write_text("0.25\n0.30\n0.35\n", encoding="utf-8-sig")  # as spreadsheets write it
+    (tmp_path / "headed.csv").write_text("# bench\ndepth_m\n0.25\n0.30\n0.35\n")
     (tmp_path / "bad.csv").write_text("near\n0.30")
     (tmp_path / "empty.csv").write_text("# m\n")
-    for name in ("depths.npy", "lines.csv", "row.csv", "marked.csv"):
+    for name in ("depths.npy", "lines.csv", "row.csv", "marked.csv", "headed.csv"):
         assert read_depths(tmp_path / name).tolist() == wanted
     for name in ("bad.csv", "empty.csv", "none.csv", "none.npy"):
         with pytest.raises(InputError, match=name):

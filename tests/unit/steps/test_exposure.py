@@ -9,12 +9,13 @@ from typing import Any
 
 import pytest
 
+from metafab.core.errors import InputError
 from metafab.core.parallel.work import Work
 from metafab.library import Library, save
 from metafab.spec import Dose, load_design
 from metafab.spec.mask import Copy
 from metafab.steps import Job, write_layout
-from metafab.steps.exposure import EXPOSURE, CopyFigures, errors_of_copies_nm, expose_mask
+from metafab.steps.exposure import EXPOSURE, CopyFigures, errors_of_copies_nm, expose_mask, made_mask
 from tests.main_job import SMALL
 
 FURTHER = """
@@ -70,3 +71,22 @@ def test_a_run_leaves_out_an_exposure_that_cannot_be_predicted() -> None:
         assert why in (EXPOSURE.not_needed(replace(design, mask=replace(design.mask, **change))) or "")
     in_focus = replace(design.mask, copies=(Copy((0.0, 0.0)), Copy((300.0, 0.0), focus_um=2.0)))
     assert EXPOSURE.not_needed(replace(design, mask=in_focus)) is None
+
+
+@pytest.mark.parametrize(
+    ("bias_nm", "message"), [(-400.0, "none is left at a bias of -400 nm"), (-90.0, "their printed corners")]
+)
+def test_an_etch_that_leaves_too_little_names_itself(
+    bias_nm: float, message: str, smooth_library: Library, tmp_path: Path
+) -> None:
+    save(smooth_library, tmp_path / "library.h5")
+    text = SMALL.read_text(encoding="utf-8").replace("../unitcell_lib/sos_800nm.toml", "library.h5")
+    text = text.replace("aperture_um = 200.0", "aperture_um = 20.0").replace('optimise = "peak"', 'optimise = "none"')
+    text += f'[process.exposure]\npreset = "hsq_sos_100kv"\n[process.etch]\nbias_nm = {bias_nm}\n'
+    (tmp_path / "design.toml").write_text(text, encoding="utf-8")
+    design = load_design(tmp_path / "design.toml")
+    job = Job(design, tmp_path)
+    write_layout(job)
+    with pytest.raises(InputError, match=message) as refused:
+        made_mask(job, tmp_path / "layout.oas", "plain")
+    assert refused.value.faults[0].field == "process.etch"

@@ -184,6 +184,15 @@ def test_what_does_not_fit_is_refused(header: str, scale: float, message: str, c
         import_sweep(path, cell, quantity="field")
 
 
+def test_decibels_in_a_column_of_moduli_are_refused(cell: UnitCell, tmp_path: Path) -> None:
+    width, length = (axis.ravel() for axis in np.meshgrid(SIZES_NM, SIZES_NM))
+    t = _t(width, length)
+    decibels = 20.0 * np.log10(np.abs(t))
+    path = _rows(tmp_path / "sweep.csv", "width_nm,length_nm,t_abs,t_phase_rad", width, length, decibels, np.angle(t))
+    with pytest.raises(InputError, match=r"`t_abs`: expected moduli of 0 or more, got -.*decibels"):
+        import_sweep(path, cell, quantity="s21")
+
+
 def test_degrees_in_a_column_of_radians_are_refused_at_the_sizes_of_the_file_too(
     cell: UnitCell, tmp_path: Path
 ) -> None:
