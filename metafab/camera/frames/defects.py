@@ -39,6 +39,7 @@ def dead_pixels(frame: FloatArray, read_noise_e: float) -> NDArray[np.bool_]:
 def share_below_black(frame: FloatArray, read_noise_e: float) -> float:
     """Share of a frame's pixels that are more than ``_SIGMAS`` standard deviations of read noise below zero.
 
-    ``frame`` is in electrons over the black level; the read noise counts as an electron at least.
+    ``frame``, shape (n_rows, n_columns), is in electrons over the black level; the read noise counts as an electron at
+    least.
     """
     return float(np.mean(frame < -_SIGMAS * max(read_noise_e, 1.0)))
