@@ -4,12 +4,13 @@ An object no larger than the blur hides part of the texture behind it. The model
 (:mod:`metafab.camera.rendering.occlusion`): the object hides a share of the aperture from each point of the surface,
 and a pixel with the share a covered shows 1 - a of the surface's light.
 
-Both textures have a 1/k spectrum. A Gauss-Newton step solves by conjugate gradients for them and for the changes of
-depth, rectangle and mean intensities at once. These steps converge to the joint maximum of the posterior, whose depth
-is biased away from the surface, where two textures explain more. So the last steps maximise the marginal posterior: the
-textures are integrated out, which adds half the gradient of the log-determinant of their information matrix. By
-Fisher's identity that is a mean over draws from their posterior; each draw is a solve with random right sides. The
-standard error of the depth is that of the posterior of all unknowns, times a measured ratio.
+Both textures have a 1/k spectrum and the contrast of the surface, and light is blurred by the pair of its own place
+(:mod:`metafab.decode.segmentation.objects.object_window`). A Gauss-Newton step solves by conjugate gradients for the
+textures and for the changes of depth, rectangle and mean intensities at once. These steps converge to the joint maximum
+of the posterior, whose depth is biased away from the surface, where two textures explain more. So the last steps
+maximise the marginal posterior: the textures are integrated out, which adds half the gradient of the log-determinant of
+their information matrix. By Fisher's identity that is a mean over draws from their posterior; each draw is a solve with
+random right sides. The standard error of the depth is that of the posterior of all unknowns, times a measured ratio.
 """
 
 from __future__ import annotations

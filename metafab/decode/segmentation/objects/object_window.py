@@ -2,9 +2,10 @@
 
 The paper's pair changes by 5 % (relative L2) over 17 px, and a window has 132 px a side. A point of light at the
 distance (y, x) from the middle is blurred by the pair of its own place: that of the middle, plus y and x times its
-changes. So light is blurred as three pictures: itself, and itself times y and x. With the pair of the middle alone, the
-depths of 100 squares of 20 to 39 px were 1.1 % off (rms); with its changes 1.0 %, and 0.85 % with the contrast of the
-surface's texture measured in the window in place of 0.3.
+changes. So light is blurred as three pictures: itself, and itself times y and x.
+
+Depths of 100 squares of 20 to 39 px, fitted from their true outlines, are 0.85 % off (rms). With the contrast of all
+textures 0.3, they are 0.99 % off; with the pair of the middle alone, too, 1.09 %.
 """
 
 from __future__ import annotations
