@@ -58,15 +58,21 @@ class Calibration:
         Returns:
             Shape (n_block_y, n_block_x, n_field).
         """
-        grid = self.grid
         row, column = (
-            grid.margin + np.minimum(step * (np.arange(-(-n // block)) * block + 0.5 * (block - 1)), most - 1.0)
-            for n, most in zip(shape, grid.shape, strict=True)
+            np.minimum(step * (np.arange(-(-n // block)) * block + 0.5 * (block - 1)), most - 1.0)
+            for n, most in zip(shape, self.grid.shape, strict=True)
         )
-        place = np.meshgrid(row, column, indexing="ij")
-        tangents = (map_coordinates(axis, place, order=1) for axis in (grid.tangent_x, grid.tangent_y))
-        weights = self.kernels.field_weights(*tangents)
-        return weights.reshape(row.size, column.size, -1).astype(np.float32)
+        return self.place_weights(*np.meshgrid(row, column, indexing="ij"))
+
+    def place_weights(self, row: FloatArray, column: FloatArray) -> NDArray[np.float32]:
+        """Interpolation weights of the field points at places of the window, frame pixels: shape (n, m, n_field).
+
+        ``row`` and ``column`` have the shape (n, m) and may lie within the margin.
+        """
+        grid = self.grid
+        place = row + grid.margin, column + grid.margin
+        tangents = (map_coordinates(axis, place, order=1, mode="nearest") for axis in (grid.tangent_x, grid.tangent_y))
+        return self.kernels.field_weights(*tangents).reshape(*row.shape, -1).astype(np.float32)
 
     @cached_property
     def stack(self) -> NDArray[np.float32]:

@@ -26,8 +26,8 @@ from metafab.decode.registration.tiles import Tiling
 
 #: Side of a tile's core, frame pixels.
 _CORE_PX = 120.0
-#: Side of the blocks at whose centres the pair's place in the field is kept, frame pixels.
-_BLOCK_PX = 24
+#: Distance on each side of a place over which the pair's change is taken, frame pixels.
+_CHANGE_PX = 12.0
 #: Size of the windows of downsampled kernels over that of the pair's.
 _ROOM = 1.25
 
@@ -87,7 +87,6 @@ class LayerOptics:
     calibration: Calibration  #: The pair on all pixels.
     downsampling: Downsampling  #: The pixels that are compared.
     kernels: NDArray[np.float32]  #: Shape (2, n_depth, n_field, m, m), origin at [m // 2, m // 2].
-    field_weights: NDArray[np.float32]  #: Shape (n_block_y, n_block_x, n_field), at the centres of blocks.
     tiling: Tiling  #: Tiles of the downsampled window.
     of_tiles: NDArray[np.float32]  #: Shape (n_tiles, n_depth, 2, m_y, m_x), the kernels at the middles of tiles.
     texture: NDArray[np.float32]  #: As of :class:`LayerLight`.
@@ -118,7 +117,6 @@ class LayerOptics:
             calibration,
             downsampling,
             kernels,
-            calibration.block_weights(downsampling.shape, step, _BLOCK_PX // step),
             tiling,
             np.ascontiguousarray(np.moveaxis(of_tiles, 1, 2)),
             texture_amplitude(tiling.size, step),
@@ -127,20 +125,34 @@ class LayerOptics:
     @property
     def nbytes(self) -> int:
         """Memory of the kernels."""
-        return self.kernels.nbytes + self.field_weights.nbytes + self.of_tiles.nbytes + self.texture.nbytes
+        return self.kernels.nbytes + self.of_tiles.nbytes + self.texture.nbytes
 
     def pair_about(self, middle: tuple[int, int], side: int) -> NDArray[np.complex64]:
         """Transforms of the pair at the calibrated depths about a downsampled pixel (row, column) of the window.
 
         Shape (n_depth, 2, side, side // 2 + 1); ``side`` is no smaller than that of the kernels.
         """
-        block = self.field_weights.shape[0] / self.downsampling.shape[0]
-        at = [
-            min(max(int(place * block), 0), n - 1)
-            for place, n in zip(middle, self.field_weights.shape[:2], strict=True)
-        ]
-        kernels = np.tensordot(self.field_weights[at[0], at[1]], np.moveaxis(self.kernels, 2, 0), axes=(0, 0))
-        return transfer_functions(kernels, (side, side)).astype(np.complex64).swapaxes(0, 1)
+        row, column = self.downsampling.step * np.array(middle, dtype=np.float64)[:, None, None]
+        return self._pairs(self.calibration.place_weights(row, column)[0], side)[:, 0]
+
+    def pair_and_changes(self, middle: tuple[int, int], side: int) -> NDArray[np.complex64]:
+        """That pair, and its changes from one downsampled pixel to the next along y and x.
+
+        Shape (n_depth, 3, 2, side, side // 2 + 1).
+        """
+        step, apart = self.downsampling.step, _CHANGE_PX * np.array([[0, -1, 1, 0, 0], [0, 0, 0, -1, 1]])
+        row, column = step * np.array(middle)[:, None] + apart
+        at, above, below, left, right = self.calibration.place_weights(row[None], column[None])[0]
+        share = np.float32(step / (2.0 * _CHANGE_PX))
+        return self._pairs(np.stack([at, share * (below - above), share * (right - left)]), side)
+
+    def _pairs(self, weights: NDArray[np.float32], side: int) -> NDArray[np.complex64]:
+        """Transforms of mixtures of the field points' pairs, weights (n, n_field).
+
+        Shape (n_depth, n, 2, side, side // 2 + 1).
+        """
+        kernels = np.tensordot(weights, self.kernels, axes=(1, 2)).transpose(2, 0, 1, 3, 4)
+        return transfer_functions(kernels, (side, side)).astype(np.complex64)
 
     @cached_property
     def shifts_px_m(self) -> FloatArray:

@@ -1,6 +1,7 @@
 """Objects that the segments of textured pixels miss: small and narrow ones before a surface, and plain ones.
 
 - ``null_channel``   difference of the twins in which a surface vanishes, and the evidence of light before it
+- ``object_window``  images, pair and texture about a small object
 - ``object_fit``     depth of a rectangle or an ellipse before a surface, by a model of both images with occlusion
 - ``small_objects``  rectangles and ellipses of light before a segment, by ascent of their evidence
 - ``bars``           straight bars narrower than a window before a segment, by ridges of its misfit

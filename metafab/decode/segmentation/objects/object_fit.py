@@ -4,42 +4,37 @@ An object no larger than the blur hides part of the texture behind it. The model
 (:mod:`metafab.camera.rendering.occlusion`): the object hides a share of the aperture from each point of the surface,
 and a pixel with the share a covered shows 1 - a of the surface's light.
 
-Both textures have a 1/k spectrum. A Gauss-Newton step solves by conjugate gradients for them and for the changes of
-depth, rectangle and mean intensities at once. These steps converge to the joint maximum of the posterior, whose depth
-is biased away from the surface, where two textures explain more. So the last steps maximise the marginal posterior: the
-textures are integrated out, which adds half the gradient of the log-determinant of their information matrix. By
-Fisher's identity that is a mean over draws from their posterior; each draw is a solve with random right sides. The
-standard error of the depth is that of the posterior of all unknowns, times a measured ratio.
+Both textures have a 1/k spectrum and the contrast of the surface, and light is blurred by the pair of its own place
+(:mod:`metafab.decode.segmentation.objects.object_window`). A Gauss-Newton step solves by conjugate gradients for the
+textures and for the changes of depth, rectangle and mean intensities at once. These steps converge to the joint maximum
+of the posterior, whose depth is biased away from the surface, where two textures explain more. So the last steps
+maximise the marginal posterior: the textures are integrated out, which adds half the gradient of the log-determinant of
+their information matrix. By Fisher's identity that is a mean over draws from their posterior; each draw is a solve with
+random right sides. The standard error of the depth is that of the posterior of all unknowns, times a measured ratio.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
 from typing import Any
 
 import numpy as np
-import scipy.fft
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import default_workers, kept_threads
 from metafab.decode.matching.filter_basis import frequencies
-from metafab.decode.segmentation.layered.layer_light import LayerOptics, at_depth, texture_amplitude
+from metafab.decode.segmentation.layered.layer_light import LayerOptics, at_depth
 from metafab.decode.segmentation.objects.null_channel import Rectangle, ellipse_light
+from metafab.decode.segmentation.objects.object_window import ObjectStart, ObjectWindow, Spectra, blurred, distances
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
-#: Least side of the window, downsampled pixels.
-_SIDE = 44
-#: Rim of the window that is not compared, and least room about a blob inside of it, downsampled pixels.
-_RIM, _ROOM = 6, 8
-#: Rms contrast of both textures, and the model's error at a pixel as a share of the surface's light.
-_TEXTURE, _MODEL_ERROR = 0.3, 0.006
-#: Error of depth in standard errors of the posterior: rms of 53 squares of 20 to 39 px in three frames (1.0, 1.4, 1.8).
-_ERROR_RATIO = 1.45
+#: Error of depth in standard errors of the posterior: rms of 100 squares of 20 to 39 px in five frames.
+_ERROR_RATIO = 1.2
 #: Most Gauss-Newton steps, which cross the calibrated depths.
 _ROUNDS = 24
 #: Relative change of depth in a Gauss-Newton step that ends the fit.
@@ -72,7 +67,6 @@ _AT_ONCE = 10
 
 #: Logarithm of vergence, rectangle, and mean intensity of the surface and of the object in both images: shape (k, 9).
 _Unknowns = FloatArray
-_Spectra = NDArray[np.complex64]
 
 
 @dataclass(frozen=True)
@@ -82,24 +76,6 @@ class FittedObject:
     vergence_per_m: float  #: 1/depth.
     relative_error: float  #: Standard error of the depth over the depth.
     rectangle: Rectangle  #: Middle from the window's middle, and half sides.
-
-
-@dataclass(frozen=True)
-class ObjectStart:
-    """Where the fit of an object begins."""
-
-    middle: tuple[int, int]  #: Downsampled pixel (row, column) in the middle of its window.
-    extent: int  #: Largest side of its blob, downsampled pixels.
-    surface_per_m: float  #: 1/depth of the surface behind it.
-    level_e: FloatArray  #: Mean light of the surface in both images, shape (2,); only their ratio is used.
-    vergence_per_m: float  #: 1/depth.
-    rectangle: Rectangle  #: Middle from the window's middle, and half sides.
-    is_round: bool = False  #: Whether the object is an ellipse.
-
-    def side(self, optics: LayerOptics) -> int:
-        """Side of the window, downsampled pixels."""
-        wanted = max(_SIDE, optics.kernels.shape[-1], self.extent + 2 * _RIM + _ROOM)
-        return 2 * int(scipy.fft.next_fast_len(-(-wanted // 2), real=True))
 
 
 def fitted_objects(
@@ -125,7 +101,7 @@ def fitted_objects(
 
 def _fitted(prepared: PreparedFrame, optics: LayerOptics, starts: Sequence[ObjectStart]) -> list[FittedObject | None]:
     """Fit a batch with windows of equal size; each Gauss-Newton step treats those that have not settled together."""
-    window, count = _Window.of(prepared, optics, starts), len(starts)
+    window, count = ObjectWindow.of(prepared, optics, starts), len(starts)
     origin = np.array([window.side // 2, window.side // 2, 0.0, 0.0])
     depths = np.log([[one.vergence_per_m] for one in starts])
     unknowns = np.hstack([depths, [one.rectangle + origin for one in starts], np.ones((count, 4))])
@@ -175,67 +151,14 @@ def _fitted(prepared: PreparedFrame, optics: LayerOptics, starts: Sequence[Objec
 
 
 @dataclass(frozen=True)
-class _Window:
-    """Squares about k objects, and the surfaces behind them."""
-
-    optics: LayerOptics
-    images: NDArray[np.float32]  # (k, 2, n, n), electrons
-    weight: NDArray[np.float32]  # (k, 2, n, n), inverse deviation of noise and model; 0 where nothing is compared
-    pair: _Spectra  # (k, n_depth, 2, n, n // 2 + 1), transforms of the pair at the calibrated depths
-    surface_per_m: FloatArray  # (k,)
-    surface: _Spectra  # (k, 2, n, n // 2 + 1), transforms of the pair at the surface's depth, times its share of light
-    light: NDArray[np.float32]  # (k, 1, 1, 1), mean light of the surface, electrons
-    amplitude: NDArray[np.float32]  # (k, 1, n, n // 2 + 1), amplitude of both textures' spectrum, electrons
-    is_round: NDArray[np.bool_]  # (k,), whether the object is an ellipse
-
-    @property
-    def side(self) -> int:
-        return int(self.images.shape[-1])
-
-    @classmethod
-    def of(cls, prepared: PreparedFrame, optics: LayerOptics, starts: Sequence[ObjectStart]) -> _Window:
-        """The windows of starts whose windows are of equal size."""
-        n, step = starts[0].side(optics), prepared.downsampling.step
-        parts = []
-        for start in starts:
-            square, inside = prepared.about(start.middle, n)
-            inside[:_RIM] = inside[-_RIM:] = inside[:, :_RIM] = inside[:, -_RIM:] = False
-            pair = optics.pair_about(start.middle, n)
-            surface = at_depth(optics, pair, start.surface_per_m)
-            through = surface[:, 0, 0].real
-            share = start.level_e / through
-            share = share / share.mean()
-            median = np.median(square[:, inside], axis=1)
-            level = np.float32((median / through / share).mean())
-            noise = (np.maximum(median, 0.0) + prepared.levels.read_noise_e**2) / step**2
-            weight = (inside / np.sqrt(noise + (_MODEL_ERROR * level) ** 2)[:, None, None]).astype(np.float32)
-            factors = share[:, None, None].astype(np.float32)
-            parts.append((square, weight, pair, np.asarray(start.surface_per_m), surface * factors, level))
-        images, weight, pair, surface_per_m, surface, mean = (np.stack(one) for one in zip(*parts, strict=True))
-        light, is_round = mean.reshape(-1, 1, 1, 1), np.array([start.is_round for start in starts])
-        amplitude = np.float32(_TEXTURE) * light * texture_amplitude((n, n), step)
-        return cls(optics, images, weight, pair, surface_per_m, surface, light, amplitude, is_round)
-
-    def taken(self, at: NDArray[np.intp]) -> _Window:
-        """Some of the windows."""
-        return _Window(self.optics, *(getattr(self, one.name)[at] for one in fields(self)[1:]))
-
-    def spectra(self, pictures: NDArray[np.float32]) -> _Spectra:
-        return np.asarray(scipy.fft.rfft2(pictures))
-
-    def pictures(self, spectra: _Spectra) -> NDArray[np.float32]:
-        return np.asarray(scipy.fft.irfft2(spectra, (self.side, self.side)))
-
-
-@dataclass(frozen=True)
 class _Depth:
     """Optics of the objects' depths in windows."""
 
-    pair: _Spectra  # (k, 2, n, n // 2 + 1), the pair
-    aperture: _Spectra  # (k, n, n // 2 + 1), share of the aperture that a point covers before the surface
+    pair: Spectra  # (k, 3, 2, n, n // 2 + 1), the pair and its changes along y and x
+    aperture: Spectra  # (k, n, n // 2 + 1), share of the aperture that a point covers before the surface
 
     @classmethod
-    def of(cls, window: _Window, log_vergence: FloatArray) -> _Depth:
+    def of(cls, window: ObjectWindow, log_vergence: FloatArray) -> _Depth:
         optics, size, vergence = window.optics, (window.side, window.side), np.exp(log_vergence)
         before = (vergence - window.surface_per_m).tolist()
         pairs = (at_depth(optics, *one) for one in zip(window.pair, vergence.tolist(), strict=True))
@@ -246,7 +169,7 @@ class _Depth:
 class _Scene:
     """The surfaces and the objects of given unknowns in windows."""
 
-    window: _Window
+    window: ObjectWindow
     levels: NDArray[np.float32]  # (k, 2, 2, 1, 1), mean intensities of the surface and of the object in both images
     means: NDArray[np.float32]  # (k, 2, 2, n, n), images of the surface and of the object per mean intensity, electrons
     depth: _Depth  # optics of the object's depth
@@ -255,55 +178,54 @@ class _Scene:
     balance: NDArray[np.float32]  # (k, 2, n, n), share of the whole surface's image added to keep radiance
 
     @classmethod
-    def of(cls, window: _Window, depth: _Depth, unknowns: _Unknowns) -> _Scene:
+    def of(cls, window: ObjectWindow, depth: _Depth, unknowns: _Unknowns) -> _Scene:
         cover = _covers(window.side, unknowns[:, 1:5], window.is_round)
         hidden = cover * depth.aperture[:, None]
-        through, own = (one[..., :1, :1].real for one in (window.surface, depth.pair))
-        blurred = window.pictures(depth.pair * cover)
-        veil = blurred / own
+        through, own = (one[:, 0, :, :1, :1].real for one in (window.surface, depth.pair))
         covered, open_share = window.pictures(np.stack([cover, hidden]))
+        image = window.pictures(blurred(depth.pair, window.moments(covered[:, 0])))
+        veil = image / own
         return cls(
             window,
             unknowns[:, 5:].reshape(-1, 2, 2, 1, 1).astype(np.float32),
-            np.stack([window.light * through * (1.0 - veil), window.light * blurred], axis=1),
+            np.stack([window.light * through * (1.0 - veil), window.light * image], axis=1),
             depth,
             covered,
             1.0 - open_share,
-            window.pictures(window.surface * hidden) / through - veil,
+            window.pictures(window.surface[:, 0] * hidden) / through - veil,
         )
 
     @cached_property
-    def object(self) -> _Spectra:
-        """The pair times the objects' mean intensities, shape (k, 2, n, n // 2 + 1)."""
-        return np.asarray(self.depth.pair * self.levels[:, 1])
+    def object(self) -> Spectra:
+        """The pair and its changes times the objects' mean intensities, shape (k, 3, 2, n, n // 2 + 1)."""
+        return np.asarray(self.depth.pair * self.levels[:, 1, None])
 
     @property
     def mean(self) -> NDArray[np.float32]:
         """Images without textures, shape (k, 2, n, n), electrons."""
         return np.asarray((self.levels * self.means).sum(axis=1))
 
-    def textured(self, textures: _Spectra) -> NDArray[np.float32]:
+    def textured(self, textures: Spectra) -> NDArray[np.float32]:
         """Images of both textures, electrons: shape (..., k, 2, n, n).
 
         ``textures``: white ones, shape (..., k, 2, n, n // 2 + 1).
         """
         window, spectra = self.window, self.window.amplitude * textures
         surface, seen = spectra[..., :1, :, :], window.pictures(spectra) * self._shares
-        light = window.spectra(seen)
-        both = np.stack(
-            [window.surface * light[..., :1, :, :] + self.object * light[..., 1:, :, :], window.surface * surface]
-        )
-        images, whole = window.pictures(both)
+        light = window.moments(seen)
+        both = blurred(window.surface, light[..., 0, :, :, :]) + blurred(self.object, light[..., 1, :, :, :])
+        images, whole = window.pictures(np.stack([both, window.surface[:, 0] * surface]))
         return np.asarray(images + whole * self.balance)
 
-    def adjoint(self, images: NDArray[np.float32]) -> _Spectra:
+    def adjoint(self, images: NDArray[np.float32]) -> Spectra:
         """Adjoint of :meth:`textured`."""
         window = self.window
         spectra, added = window.spectra(np.stack([images, images * self.balance]))
-        surface = window.surface.conj()
-        light = np.stack([(spectra * one).sum(axis=-3) for one in (surface, self.object.conj())], axis=-3)
-        found = window.spectra(window.pictures(light) * self._shares)
-        found[..., 0, :, :] += (added * surface).sum(axis=-3)
+        both = (window.surface.conj(), self.object.conj())
+        light = np.stack([(spectra[..., None, :, :, :] * one).sum(axis=-3) for one in both], axis=-4)
+        seen = (window.pictures(light) * distances(window.side)).sum(axis=-3)
+        found = window.spectra(seen * self._shares)
+        found[..., 0, :, :] += (added * both[0][:, 0]).sum(axis=-3)
         found *= window.amplitude
         return found
 
@@ -312,15 +234,14 @@ class _Scene:
         """Shares of both textures that are seen, shape (k, 2, n, n)."""
         return np.concatenate([self.seen, self.cover], axis=1)
 
-    def slopes(self, unknowns: _Unknowns, textures: _Spectra, mean: bool, first: int) -> NDArray[np.float32]:
+    def slopes(self, unknowns: _Unknowns, textures: Spectra, mean: bool, first: int) -> NDArray[np.float32]:
         """Derivatives of the images by each unknown from the ``first`` one on: shape (n_free, ..., k, 2, n, n).
 
         ``mean``: of all light, or of the textures alone.
         """
         window, here = self.window, self.textured(textures)
-        part = window.pictures(
-            self.depth.pair * window.spectra(window.pictures(window.amplitude * textures[..., 1:, :, :]) * self.cover)
-        )
+        of_object = window.pictures(window.amplitude * textures[..., 1:, :, :]) * self.cover
+        part = window.pictures(blurred(self.depth.pair, window.moments(of_object[..., 0, :, :])))
         slopes = np.zeros((9, *here.shape), dtype=np.float32)
         for image in range(2):
             slopes[7 + image, ..., image, :, :] = part[..., image, :, :]
@@ -341,23 +262,24 @@ class _Linear:
     """The model about given unknowns, linear in the textures and in changes of the unknowns."""
 
     scene: _Scene
-    textures: _Spectra
+    textures: Spectra
     first: int  # first unknown that changes
     slopes: NDArray[np.float32]  # (k, n_free, 2 * n * n), weighted images of a change by one
     left: NDArray[np.float32]  # (k, 2, n, n), weighted images less the model's
     power: NDArray[np.float32]  # (k, 2, n, n // 2 + 1), information about the textures, for preconditioning
 
     @classmethod
-    def of(cls, window: _Window, unknowns: _Unknowns, textures: _Spectra, first: int) -> _Linear:
+    def of(cls, window: ObjectWindow, unknowns: _Unknowns, textures: Spectra, first: int) -> _Linear:
         scene = _Scene.of(window, _Depth.of(window, unknowns[:, 0]), unknowns)
         slopes = scene.slopes(unknowns, textures, True, first) * window.weight
-        power = np.stack([(np.abs(one) ** 2).sum(axis=1) for one in (window.surface, scene.object)], axis=1)
+        pairs = window.surface[:, 0], scene.object[:, 0]
+        power = np.stack([(np.abs(one) ** 2).sum(axis=1) for one in pairs], axis=1)
         power *= window.amplitude**2 * np.square(window.weight).mean(axis=(1, 2, 3), keepdims=True)
         left = window.weight * (window.images - scene.mean - scene.textured(textures))
         flat = np.ascontiguousarray(slopes.swapaxes(0, 1)).reshape(len(left), -1, left[0].size)
         return cls(scene, textures, first, flat, left, power)
 
-    def solved(self, of_textures: _Unknowns, steps: int) -> tuple[_Unknowns, _Spectra]:
+    def solved(self, of_textures: _Unknowns, steps: int) -> tuple[_Unknowns, Spectra]:
         """Changes of the unknowns, 0 for fixed ones, and of the textures.
 
         ``of_textures``: slopes of half the logarithm of the determinant of the textures' information.
@@ -368,7 +290,7 @@ class _Linear:
         textures, change[:, self.first :] = self._solution(gradient, of_free, steps)
         return change, textures
 
-    def drawn(self, count: int) -> _Spectra:
+    def drawn(self, count: int) -> Spectra:
         """Textures drawn from their posterior about its mean, with all unknowns fixed: shape (count, k, 2, ...)."""
         window, random = self.scene.window, np.random.default_rng(0)
         # One draw for all windows: an object's fit does not depend on those that are computed with it.
@@ -385,7 +307,7 @@ class _Linear:
         variance = column[:, 0]
         return np.where(variance > 0.0, np.sqrt(np.abs(variance)), np.inf)
 
-    def _solution(self, right: _Spectra, right_free: FloatArray, steps: int) -> tuple[_Spectra, FloatArray]:
+    def _solution(self, right: Spectra, right_free: FloatArray, steps: int) -> tuple[Spectra, FloatArray]:
         """Product of the inverse information matrix and the right sides, by preconditioned conjugate gradients.
 
         Right sides have shapes (..., k, 2, n, n // 2 + 1) and (..., k, n_free); leading axes are those of as many
@@ -421,7 +343,7 @@ class _Linear:
         return textures, free
 
 
-def _covers(n: int, rectangles: FloatArray, is_round: NDArray[np.bool_]) -> _Spectra:
+def _covers(n: int, rectangles: FloatArray, is_round: NDArray[np.bool_]) -> Spectra:
     """Transforms of the objects' shares of pixels, shape (k, 1, n, n // 2 + 1), given their rectangles, (k, 4)."""
     middle_y, middle_x, half_y, half_x = rectangles[:, :, None].swapaxes(0, 1)
     ky, kx = frequencies((n, n), 1)
@@ -436,7 +358,7 @@ def _covers(n: int, rectangles: FloatArray, is_round: NDArray[np.bool_]) -> _Spe
     return np.asarray(cover)
 
 
-def _determinant_slopes(window: _Window, unknowns: _Unknowns) -> _Unknowns:
+def _determinant_slopes(window: ObjectWindow, unknowns: _Unknowns) -> _Unknowns:
     """Slopes of half the logarithm of the determinant of the textures' information, from draws of the textures."""
     none = np.zeros((len(unknowns), 2, window.side, window.side // 2 + 1), dtype=np.complex64)
     linear = _Linear.of(window, unknowns, none, unknowns.shape[1])
@@ -461,7 +383,7 @@ def _wide(factors: FloatArray) -> NDArray[np.float32]:
     return factors[..., None, None, None].astype(np.float32)
 
 
-def _product(one: _Spectra, other: _Spectra) -> FloatArray:
+def _product(one: Spectra, other: Spectra) -> FloatArray:
     """Dot products of pictures, shape (..., 2, n, n), of transforms (..., 2, n, n // 2 + 1): shape (...)."""
     of_column = np.einsum("...iyx,...iyx->...x", one.view(np.float32), other.view(np.float32)).astype(np.float64)
     both = 2.0 * of_column.sum(axis=-1) - of_column[..., :2].sum(axis=-1) - of_column[..., -2:].sum(axis=-1)

@@ -25,7 +25,8 @@ from metafab.core.parallel.executor import kept_threads
 from metafab.decode.confidence import LARGEST_ERROR
 from metafab.decode.segmentation.layered.layer_light import LayerOptics
 from metafab.decode.segmentation.objects.null_channel import WINDOW, NullChannel, Rectangle, ShapeEvidence
-from metafab.decode.segmentation.objects.object_fit import FittedObject, ObjectStart, fitted_objects
+from metafab.decode.segmentation.objects.object_fit import FittedObject, fitted_objects
+from metafab.decode.segmentation.objects.object_window import ObjectStart
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 
 #: Largest side of a blob that is searched, downsampled pixels: larger objects have segments.

@@ -10,7 +10,8 @@ import pytest
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
 from metafab.decode.segmentation.objects import object_fit
-from metafab.decode.segmentation.objects.object_fit import FittedObject, ObjectStart, fitted_objects
+from metafab.decode.segmentation.objects.object_fit import FittedObject, fitted_objects
+from metafab.decode.segmentation.objects.object_window import ObjectStart
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 

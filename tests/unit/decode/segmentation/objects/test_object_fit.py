@@ -10,7 +10,7 @@ import pytest
 
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
-from metafab.decode.segmentation.objects import object_fit
+from metafab.decode.segmentation.objects import object_fit, object_window
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 
@@ -24,11 +24,12 @@ def test_slopes_of_the_determinant_are_those_of_the_dense_matrix(monkeypatch: py
     assert decoder is not None
     prepared = decoder.prepare(replace(frame, truth=None))
     assert not isinstance(prepared, str)
-    for name, value in (("_SIDE", 8), ("_RIM", 1), ("_ROOM", 2), ("_DRAWS", 40)):
-        monkeypatch.setattr(object_fit, name, value)
+    monkeypatch.setattr(object_fit, "_DRAWS", 40)
+    for name, value in (("_SIDE", 8), ("_RIM", 1), ("_ROOM", 2)):
+        monkeypatch.setattr(object_window, name, value)
     middle = prepared.downsampling.shape[0] // 2, prepared.downsampling.shape[1] // 2
-    start = object_fit.ObjectStart(middle, 4, 1.0 / 0.0034, np.ones(2), 1.0 / 0.0029, np.array([0.0, 0.0, 3.0, 3.0]))
-    window = object_fit._Window.of(prepared, decoder.layer_optics, [start])
+    start = object_window.ObjectStart(middle, 4, 1.0 / 0.0034, np.ones(2), 1.0 / 0.0029, np.array([0.0, 0.0, 3.0, 3.0]))
+    window = object_window.ObjectWindow.of(prepared, decoder.layer_optics, [start])
     n = window.side
     unknowns = np.array([[-math.log(0.0029), n / 2, n / 2, 3.0, 3.0, 1.0, 1.0, 1.0, 1.0]])
 
@@ -47,5 +48,5 @@ def test_slopes_of_the_determinant_are_those_of_the_dense_matrix(monkeypatch: py
     assert drawn == pytest.approx(dense, rel=0.15)
     # A fit does not depend on those that are computed with it.
     beside = replace(start, middle=(middle[0] + 1, middle[1]))
-    both = object_fit._Window.of(prepared, decoder.layer_optics, [beside, start])
+    both = object_window.ObjectWindow.of(prepared, decoder.layer_optics, [beside, start])
     assert object_fit._determinant_slopes(both, np.vstack([unknowns, unknowns]))[1, 0] == pytest.approx(drawn, rel=1e-6)
