@@ -17,11 +17,11 @@ from metafab.core.numeric.distance import nearest
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.segmentation.assignment import Segmentation
-from metafab.decode.segmentation.fit import robust_fit
 from metafab.decode.segmentation.fragments import adjacency
 from metafab.decode.segmentation.layers import grown
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, ransac_planes
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
+from metafab.decode.segmentation.robust_fits import robust_fit
 from metafab.decode.segmentation.segments import Regions
 from metafab.decode.segmentation.surfaces import layer_separation_per_m
 

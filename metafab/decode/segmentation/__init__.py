@@ -6,6 +6,7 @@
 - ``outlines``        refinement of outlines by threshold dynamics
 - ``layered``         model of the frame with occlusion: outlines that explain it
 - ``fit``             null energy of the twins by place: whether a segment explains its pixels
+- ``robust_fits``     planes and quadrics through the depths of pixels
 - ``continuous``      continuous surfaces: a depth for each pixel, and its doubt
 - ``objects``         objects that the segments of textured pixels miss: small ones, plain ones; plain parts
 - ``segments``        SegmentDepth, and Regions: all segments of a frame

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import box_about
 from metafab.decode.matching.cost_volume import CostVolume
-from metafab.decode.segmentation.fit import robust_fit
 from metafab.decode.segmentation.planes import Plane, cell_depths, cell_side
+from metafab.decode.segmentation.robust_fits import robust_fit
 from metafab.decode.segmentation.segments import SegmentDepth
 
 #: Candidates on each side of the plane at which the twins are compared, and corrections of the plane.

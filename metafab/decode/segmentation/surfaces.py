@@ -12,14 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.segmentation.assignment import Segmentation
-from metafab.decode.segmentation.fit import (
-    LEAST_MODEL_ERROR,
-    curved_surface,
-    explains_better,
-    mean_square,
-    misfit_at,
-    plane_misfit,
-)
+from metafab.decode.segmentation.fit import LEAST_MODEL_ERROR, explains_better, misfit_at
 from metafab.decode.segmentation.fragments import adjacency
 from metafab.decode.segmentation.layers import depth_layers
 from metafab.decode.segmentation.planes import (
@@ -32,6 +25,7 @@ from metafab.decode.segmentation.planes import (
     ransac_planes,
 )
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
+from metafab.decode.segmentation.robust_fits import curved_surface, mean_square, plane_misfit
 from metafab.decode.segmentation.segments import Regions
 
 #: Largest separation of layers, as a share of the calibrated range of vergence.
