@@ -141,9 +141,10 @@ def _supersampled(values: FloatArray, crop: tuple[slice, slice]) -> FloatArray:
     s = _SUPERSAMPLING
     offset = (np.arange(s) + 0.5) / s - 0.5
     # The slopes of the outer pixels need their neighbours.
-    around = tuple(slice(max(0, part.start - 1), part.stop + 1) for part in crop)
-    inside = tuple(shifted(part, -wide.start) for part, wide in zip(crop, around, strict=True))
-    slope_y, slope_x = (slope[inside] for slope in np.gradient(values[around]))
+    rows, columns = (slice(max(0, part.start - 1), part.stop + 1) for part in crop)
+    inside = (shifted(crop[0], -rows.start), shifted(crop[1], -columns.start))
+    slopes = np.gradient(values[rows, columns])
+    slope_y, slope_x = slopes[0][inside], slopes[1][inside]
     fine = (
         values[crop][:, None, :, None]
         + slope_y[:, None, :, None] * offset[None, :, None, None]
