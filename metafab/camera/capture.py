@@ -175,18 +175,18 @@ def _film(scene: Scene, psf: Psf, lenses: Sequence[Lens], seed: int, progress: P
             pixel_um,
             (lens.left * pixel_um, lens.bottom * pixel_um),
             scene.read_noise_e,
-            _shutter_truth(still, first, shutter, middle_s) if picture is None else _picture_truth(picture, first),
+            _shutter_truth(still, lens, shutter, middle_s) if picture is None else _picture_truth(picture, first),
             (first.column * pixel_um, first.row * pixel_um),
             (first.row - lens.bottom, first.column - lens.left, *scene.field_px),
             scene.full_well_e,
         )
 
 
-def _shutter_truth(still: Renderer, window: Window, shutter: Shutter, middle_s: FloatArray) -> Truth:
+def _shutter_truth(still: Renderer, lens: Lens, shutter: Shutter, middle_s: FloatArray) -> Truth:
     """The truth of each row at the middle of its exposure; of a rolling shutter, at the nearest instant."""
 
     def at(time_s: float) -> Truth:
-        return _truth(replace(still, scene=moved(still.scene, time_s)), window)
+        return _truth(replace(still, scene=moved(still.scene, time_s)), lens)
 
     if middle_s[0] == middle_s[-1] or shutter.instants_s.size == 1:
         return at(float(middle_s[middle_s.size // 2]))
@@ -199,10 +199,10 @@ def _shutter_truth(still: Renderer, window: Window, shutter: Shutter, middle_s: 
     return Truth(**arrays)
 
 
-def _truth(renderer: Renderer, window: Window) -> Truth:
+def _truth(renderer: Renderer, lens: Lens) -> Truth:
     """Depth, label and sharp intensities as a pinhole sees them; depth is of what covers at least half of a pixel."""
+    window, pieces = lens.windows[0], list(lens.pieces(renderer))
     shape = window.stop.shape
-    pieces = list(renderer.pieces(window.tangent_x, window.tangent_y))
     masks = [Occluder.of(piece) for piece in pieces]
     depth_m, label = np.full(shape, np.nan), np.zeros(shape, dtype=np.int32)
     uncovered, intensity = np.ones(shape), np.zeros((2, *shape))

@@ -92,8 +92,7 @@ class ImageMap:
         Places have any shape, which directions share; polarisation 0 is x, 1 is y. Far outside the calibrated field the
         map may not be invertible; see :meth:`covers`.
         """
-        x_um, y_um = np.broadcast_arrays(x_um, y_um)
-        tangent_x, tangent_y = np.zeros(x_um.shape), np.zeros(x_um.shape)
+        tangent_x, tangent_y = np.zeros(()), np.zeros(())  # The first step is linear: one expansion for all places.
         limit = 2.0 * self.scale if self.scale < 1.0 else 1.0
         for _ in range(_NEWTON_STEPS):
             x, y = self.to_sensor_um(polarisation, tangent_x, tangent_y)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -10,10 +10,10 @@ import numpy as np
 
 from metafab.camera.kernels import PairKernels
 from metafab.camera.rendering.blurs import Blurs
-from metafab.camera.rendering.occlusion import Occluder, hidden_region, padded, shifted, visible_piece, visible_share
+from metafab.camera.rendering.occlusion import Occluder, hidden_region, padded, visible_piece, visible_share
 from metafab.camera.rendering.picture import DepthPicture, surfaces
 from metafab.camera.rendering.picture_image import picture_image
-from metafab.camera.rendering.render import Piece, Renderer, extent
+from metafab.camera.rendering.render import Piece, Renderer, extent, shifted
 from metafab.camera.rendering.windows import Window, shifts_px_m
 from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import kept_threads
@@ -32,6 +32,7 @@ class Layer:
     light: FloatArray  #: Shape (n_rows, n_columns), electrons.
     mask: Occluder | None  #: Region that the object hides; None for one out of sight.
     flux: FloatArray  #: Shape of the mask, electrons that it would send if nothing stood before it.
+    piece: Piece | None = None  #: The object before any blur, kept in the x image for flat objects at rest.
 
     @classmethod
     def empty(cls) -> Layer:
@@ -81,6 +82,15 @@ class Lens:
         if self.picture is None:
             self.still.clear()
 
+    def pieces(self, renderer: Renderer) -> Iterator[Piece]:
+        """Yield the objects in sight of the x image, farthest first; those that :meth:`light` kept are not redrawn."""
+        window = self.windows[0]
+        for index, _ in renderer.farthest_first():
+            layer = self.still.get((0, index), Layer.empty())
+            piece = layer.piece or renderer.piece(index, window.tangent_x, window.tangent_y)
+            if piece is not None:
+                yield piece
+
     @kept_threads()
     def light(self, renderer: Renderer, progress: Progress) -> FloatArray:
         """Mean electrons of each pixel for a scene at rest: shape :attr:`shape`."""
@@ -113,7 +123,8 @@ class Lens:
                 piece = renderer.piece(index, window.tangent_x, window.tangent_y)
                 layer = self._layer(piece, polarisation, nearer if spec.moves else at_rest, moves=spec.moves)
                 if not spec.moves:
-                    self.still[polarisation, index] = layer
+                    is_kept = polarisation == 0 and piece is not None and piece.depth_m.size == 1
+                    self.still[polarisation, index] = replace(layer, piece=piece) if is_kept else layer
             light[layer.rows, layer.columns] += layer.light
             if layer.mask is not None:
                 if not spec.moves and len(at_rest) < len(nearer):

@@ -147,11 +147,6 @@ def padded(mask: Occluder, margin: tuple[int, int]) -> Occluder:
     return Occluder(rows, columns, coverage, vergence_per_m, mask.moves)
 
 
-def shifted(part: slice, by: int) -> slice:
-    """The slice moved up by ``by``."""
-    return slice(part.start + by, part.stop + by)
-
-
 @compiled
 def _add_hidden(
     hidden: FloatArray,

@@ -70,8 +70,7 @@ class Renderer:
     def piece(self, index: int, tangent_x: FloatArray, tangent_y: FloatArray) -> Piece | None:
         """Object number ``index`` on a grid of directions x/z and y/z, shape (n_y, n_x); None if it is out of sight."""
         spec = self.scene.objects[index]
-        slopes_x, slopes_y = np.gradient(tangent_x), np.gradient(tangent_y)
-        pixel = max(float(np.abs(slope).max(initial=0.0)) for slope in (*slopes_x, *slopes_y))
+        pixel = max(_largest_slope(each) for each in (tangent_x, tangent_x.T, tangent_y, tangent_y.T))
         near = (np.abs(tangent_x - spec.centre[0]) <= 0.5 * spec.size[0] + 2.0 * pixel) & (
             np.abs(tangent_y - spec.centre[1]) <= 0.5 * spec.size[1] + 2.0 * pixel
         )
@@ -79,8 +78,7 @@ class Renderer:
             return None
         rows, columns = (extent(near.any(axis=axis)) for axis in (1, 0))
         crop = (rows, columns)
-        fine_x = _supersampled(tangent_x[crop], slopes_x[0][crop], slopes_x[1][crop])
-        fine_y = _supersampled(tangent_y[crop], slopes_y[0][crop], slopes_y[1][crop])
+        fine_x, fine_y = _supersampled(tangent_x, crop), _supersampled(tangent_y, crop)
         u, v = (fine_x - spec.centre[0]) / spec.size[0], (fine_y - spec.centre[1]) / spec.size[1]
         covered = _covered(spec, u, v, pixel / _SUPERSAMPLING)
         lit = covered * self.textures[index](u + 0.5, v + 0.5) * spec.brightness
@@ -127,16 +125,32 @@ def extent(hit: ArrayLike) -> slice:
     return slice(int(where[0]), int(where[-1]) + 1)
 
 
-def _supersampled(values: FloatArray, slope_y: FloatArray, slope_x: FloatArray) -> FloatArray:
-    """Values at a regular grid of s x s points inside each pixel, linear within it: shape (s n_y, s n_x)."""
+def shifted(part: slice, by: int) -> slice:
+    """The slice moved up by ``by``."""
+    return slice(part.start + by, part.stop + by)
+
+
+def _largest_slope(values: FloatArray) -> float:
+    """Largest slope down the columns of a grid of pixels, as :func:`numpy.gradient` defines it."""
+    inner, ends = values[2:] - values[:-2], values[[1, -1]] - values[[0, -2]]
+    return max(0.5 * float(np.abs(inner).max(initial=0.0)), float(np.abs(ends).max(initial=0.0)))
+
+
+def _supersampled(values: FloatArray, crop: tuple[slice, slice]) -> FloatArray:
+    """Values at a regular grid of s x s points inside each pixel of a crop, linear within it: shape (s n_y, s n_x)."""
     s = _SUPERSAMPLING
     offset = (np.arange(s) + 0.5) / s - 0.5
+    # The slopes of the outer pixels need their neighbours.
+    rows, columns = (slice(max(0, part.start - 1), part.stop + 1) for part in crop)
+    inside = (shifted(crop[0], -rows.start), shifted(crop[1], -columns.start))
+    slopes = np.gradient(values[rows, columns])
+    slope_y, slope_x = slopes[0][inside], slopes[1][inside]
     fine = (
-        values[:, None, :, None]
+        values[crop][:, None, :, None]
         + slope_y[:, None, :, None] * offset[None, :, None, None]
         + slope_x[:, None, :, None] * offset[None, None, None, :]
     )
-    return np.asarray(fine.reshape(values.shape[0] * s, values.shape[1] * s))
+    return np.asarray(fine.reshape(slope_y.shape[0] * s, slope_y.shape[1] * s))
 
 
 def _binned(fine: FloatArray) -> FloatArray:

@@ -38,8 +38,12 @@ class Calibration:
     def core_px(self, change: float) -> tuple[float, float]:
         """(n_y, n_x) of a tile over which the pair changes by ``change`` (relative L2) from the centre to the edge."""
         pixel_tangent = self.kernels.psf.pixel_um / self.kernels.psf.sensor_distance_um
-        rate_y, rate_x = _change_per_tangent(self.kernels)
+        rate_y, rate_x = self._change_per_tangent
         return 2.0 * change / max(rate_y * pixel_tangent, 1e-12), 2.0 * change / max(rate_x * pixel_tangent, 1e-12)
+
+    @cached_property
+    def _change_per_tangent(self) -> tuple[float, float]:
+        return _change_per_tangent(self.kernels)
 
     def tile_weights(self, tiling: Tiling, step: int = 1) -> NDArray[np.float32]:
         """Interpolation weights of the field points at each tile's centre: shape (n_tiles, n_field).

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.mask.budget import Budget
 from metafab.mask.gdsii import records
 from metafab.mask.gdsii.records import read_real
-from metafab.mask.gdsii.runs import WINDOW, Window, damaged, rectangles_of
+from metafab.mask.gdsii.runs import WINDOW, Window, damaged, read_into, rectangles_of
 from metafab.mask.shapes.hierarchy import Cell, Chunk, IntArray, Orientation, Other, Reference
 from metafab.mask.shapes.recover import RECTANGLES, KnownShapes
 
@@ -93,6 +94,7 @@ class GdsiiReader:
         self.unit_nm = 0.0
         self.cells: dict[str, Cell] = {}
         self._size = path.stat().st_size
+        self._spare: list[bytearray] = []
         with path.open("rb", buffering=0) as stream:
             self._index(Window(stream, self._size, str(path)), progress)
 
@@ -213,16 +215,25 @@ class GdsiiReader:
         return Reference(name, orientation, run.count * rows * columns, offsets)
 
     def _blocks(self, run: _Run) -> Iterator[NDArray[np.uint8]]:
-        """Bytes of the elements of a run, shape (m, stride), a window at a time."""
+        """Bytes of the elements of a run, shape (m, stride), a window at a time; the next window overwrites them."""
         at_a_time = max(1, WINDOW // run.stride)
+        buffer = self._buffer(at_a_time * run.stride)
         with self._path.open("rb", buffering=0) as stream:
             stream.seek(run.start)
             for start in range(0, run.count, at_a_time):
                 count = min(at_a_time, run.count - start)
-                data = stream.read(count * run.stride)
+                data = read_into(memoryview(buffer)[: count * run.stride], stream)
                 if len(data) < count * run.stride:
                     raise self._damaged("a file that stays as it is", "one that shrank while it was read")
                 yield np.frombuffer(data, dtype=np.uint8).reshape(count, run.stride)
+        self._spare.append(buffer)
+
+    def _buffer(self, size: int) -> bytearray:
+        """Memory of at least ``size`` bytes: that of a run already read, or fresh."""
+        with suppress(IndexError):  # another thread may take the last one
+            if len(buffer := self._spare.pop()) >= size:
+                return buffer
+        return bytearray(max(size, WINDOW))
 
     def _coordinates(self, run: _Run) -> Iterator[IntArray]:
         """Coordinates of the elements of a run, shape (m, n_points, 2), a window at a time."""

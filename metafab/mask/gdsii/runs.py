@@ -13,7 +13,7 @@ from metafab.core.numeric.compiled import compiled
 from metafab.mask.shapes.hierarchy import IntArray
 
 #: Bytes that are read at a time.
-WINDOW = 1 << 22
+WINDOW = 1 << 21
 
 
 def damaged(source: str, expected: str, got: str) -> InputError:
@@ -23,14 +23,14 @@ def damaged(source: str, expected: str, got: str) -> InputError:
 
 
 class Window:
-    """Sequential reading of records through a window of ``size`` bytes that moves along the file.
+    """Sequential reading of records through a window that moves along a file of ``size`` bytes.
 
     Its methods raise InputError, with the name ``source``, where the file is damaged.
     """
 
     def __init__(self, stream: BinaryIO, size: int, source: str) -> None:
         self._stream, self._size, self._source = stream, size, source
-        self._start, self._data = 0, b""
+        self._start, self._data, self._buffer = 0, memoryview(b""), bytearray(WINDOW)
 
     def record(self, position: int) -> tuple[int, bytes, int]:
         """Kind and data of the record at ``position``, and the position of the next record."""
@@ -41,7 +41,7 @@ class Window:
             raise damaged(self._source, expected, got)
         self._load(position, length)
         inside = position - self._start
-        return kind, self._data[inside + 4 : inside + length], position + length
+        return kind, bytes(self._data[inside + 4 : inside + length]), position + length
 
     def repeats(self, start: int, stride: int, xy: tuple[int, int]) -> int:
         """Count the elements from ``start`` on that equal the first outside their coordinates; at least 1.
@@ -69,10 +69,18 @@ class Window:
         if self._start <= position and position + count <= self._start + len(self._data):
             return
         self._stream.seek(position)
-        self._start, self._data = position, self._stream.read(max(WINDOW, count))
+        if count > len(self._buffer):
+            self._buffer = bytearray(count)
+        self._start, self._data = position, read_into(self._buffer, self._stream)
         if len(self._data) < count:
             got = f"one that ends at byte {self._size}, inside a record"
             raise damaged(self._source, "a file that ends with ENDLIB", got)
+
+
+def read_into(buffer: bytearray | memoryview, stream: BinaryIO) -> memoryview:
+    """Read as many bytes as fit into a buffer and return them; pages of fresh memory cost as much as the reading."""
+    whole = memoryview(buffer)
+    return whole[: stream.readinto(whole)].toreadonly()  # type: ignore[attr-defined]
 
 
 @compiled

@@ -109,7 +109,7 @@ class Recovery:
         rank[order] = np.arange(count)
         for start in range(0, len(self.size_index), 256):
             rows = self.size_index[start : start + 256]
-            rows[...] = rank[rows]
+            np.take(rank, rows, out=rows, mode="clip")  # all are valid; with "raise", the output is buffered
             release(rows)
         return np.ascontiguousarray(sizes[order])
 
@@ -129,27 +129,29 @@ def _place(
 
     A site is a place of the grid whose row and column add up to a multiple of ``every``.
     """
-    origin, period = sites
+    # Numbers of their own stay in registers; stores into arrays could change entries of others.
+    shift_x, shift_y, factor, divisor = shift[0], shift[1], ratio[0], ratio[1]
+    origin_x, origin_y, pitch_x, pitch_y = sites[0][0], sites[0][1], 2 * sites[1][0], 2 * sites[1][1]
     index_of, sizes, size_count = table
     failures = 0
     n_y, n_x = size_index.shape
     widest, longest = index_of.shape[0] - 1, index_of.shape[1] - 1
-    inverse_x, inverse_y = 0.5 / period[0], 0.5 / period[1]
+    inverse_x, inverse_y = 1.0 / pitch_x, 1.0 / pitch_y
+    verdict[:] = PLACED
     for i in range(len(rectangles)):
-        x, y = rectangles[i, 0] + shift[0], rectangles[i, 1] + shift[1]
+        x, y = rectangles[i, 0] + shift_x, rectangles[i, 1] + shift_y
         width, length = rectangles[i, 2], rectangles[i, 3]
-        verdict[i] = PLACED
-        if ratio[0] != ratio[1]:
-            x, y, width, length = x * ratio[0], y * ratio[0], width * ratio[0], length * ratio[0]
-            if x % ratio[1] or y % ratio[1] or width % ratio[1] or length % ratio[1]:
+        if factor != divisor:
+            x, y, width, length = x * factor, y * factor, width * factor, length * factor
+            if x % divisor or y % divisor or width % divisor or length % divisor:
                 verdict[i] = OFF_GRID
                 failures += 1
                 continue
-            x, y, width, length = x // ratio[1], y // ratio[1], width // ratio[1], length // ratio[1]
-        twice_x, twice_y = 2 * (x - origin[0]) + width, 2 * (y - origin[1]) + length
+            x, y, width, length = x // divisor, y // divisor, width // divisor, length // divisor
+        twice_x, twice_y = 2 * (x - origin_x) + width, 2 * (y - origin_y) + length
         # The rounded product is the quotient if that is whole, which the next line verifies.
         column, row = np.int64(np.rint(twice_x * inverse_x)), np.int64(np.rint(twice_y * inverse_y))
-        on_site = twice_x == column * 2 * period[0] and twice_y == row * 2 * period[1]
+        on_site = twice_x == column * pitch_x and twice_y == row * pitch_y
         inside = 0 <= column < n_x and 0 <= row < n_y and width <= widest and length <= longest
         if not (on_site and inside) or (every > 1 and (row + column) % every != 0):
             verdict[i] = OFF_SITE

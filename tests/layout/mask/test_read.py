@@ -49,6 +49,17 @@ def test_read_back_is_exact(suffix: str, tiny: Assignment, tiny_design: Design, 
     assert read_back.database_unit_nm == 0.5
 
 
+def test_windows_that_are_used_again_change_nothing(
+    tiny: Assignment, tiny_design: Design, tiny_files: dict[str, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Runs of hundreds of elements go through windows of four, on several threads."""
+    for module in ("reader", "runs"):
+        monkeypatch.setattr(f"metafab.mask.gdsii.{module}.WINDOW", 256)
+    read_back = mask.read(tiny_files["gds"], tiny_design)
+    _assert_pure(read_back)
+    assert np.array_equal(sizes_at_sites(read_back.pillars), sizes_at_sites(tiny.pillars))
+
+
 def test_the_pass_over_skipped_blocks_gives_their_pages_back(
     tiny_design: Design, tiny_files: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -39,6 +39,22 @@ def test_a_lens_that_remembers_what_stands_still_sees_what_a_new_one_sees() -> N
     assert np.abs(after - before).max() > 10.0
 
 
+def test_objects_that_the_image_drew_are_those_of_the_truth() -> None:
+    """Objects at rest are kept, moving ones drawn at their new places, tilted ones drawn again for their memory."""
+    psf, lamp = helix_psf(np.linspace(0.0025, 0.0034, 7), window_px=32), replace(POST, depth_m=0.003, tilt=(0.05, 0.0))
+    scene = replace(SCENE, objects=(CAR, WALL, POST, lamp))
+    used = Lens(Blurs(PairKernels(psf)), sensor_windows(scene, psf, ImageMap.from_psf(psf)))
+    first = Renderer.of(scene, psf.pixel_um / psf.sensor_distance_um, 1)
+    used.light(first, silent)
+    later, window = Renderer(moved(scene, 0.04), first.textures), used.windows[0]
+    got, drawn = list(used.pieces(later)), list(later.pieces(window.tangent_x, window.tangent_y))
+    assert [piece.label for piece in got] == [piece.label for piece in drawn] == [2, 4, 1, 3]
+    for one, other in zip(got, drawn, strict=True):
+        np.testing.assert_array_equal(one.brightness, other.brightness)
+        assert (one.rows, one.columns) == (other.rows, other.columns)
+    assert [piece.label for piece in got if any(piece is layer.piece for layer in used.still.values())] == [2, 3]
+
+
 def test_a_scene_at_rest_is_rendered_once() -> None:
     psf = helix_psf(np.linspace(0.0025, 0.0034, 7), window_px=32)
     scene = replace(SCENE, objects=(WALL, POST))
