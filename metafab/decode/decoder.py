@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from metafab.camera.frames.frame import RawFrame
 from metafab.camera.geometry import ImageMap
@@ -33,7 +32,7 @@ from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import repeated
 from metafab.decode.registration.twins import TwinGrid
 from metafab.decode.segmentation.layered.layer_light import LayerOptics
-from metafab.decode.segmentation.objects.plain_behind import plain_behind_doubted
+from metafab.decode.segmentation.objects.plain_behind import PlainPixels, plain_behind_doubted
 from metafab.decode.segmentation.objects.plain_parts import plain_parts_judged
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
@@ -60,7 +59,7 @@ class DecoderNumerics:
     #: pixel is in the right segment; without, decoding is faster.
     refined: bool = True
     #: Whether, if ``refined``, a model of the frame with occlusion refines outlines of segments, small objects and bars
-    #: are searched, and plain parts of segments are told from the surface behind them.
+    #: are searched, and wide plain parts of segments have no depth where nothing shows it.
     modelled: bool = True
     kept_bytes: int = KEPT_BYTES  #: Most memory of the transfer functions that are kept for the next frame.
     #: Pixels from one compared pixel to the next; None for the largest step that keeps the information about depth
@@ -111,6 +110,7 @@ class DecodedFrame:
     regions: Regions  #: Segments.
     sharp: SharpImages  #: All-in-focus images.
     maps: PixelMaps  #: Arrays of the 4D image.
+    plain: PlainPixels | None = None  #: Pixels whose sharp images show no texture; None where that is not asked.
 
 
 @dataclass(frozen=True)
@@ -260,10 +260,11 @@ class Decoder:
             regions = shortest_outlines(regions, sharp, step)
             regions = outlines_by_frame(regions, prepared, self.layer_optics, step)
             regions = plain_parts_judged(prepared, volume, regions, pixels)
-            light_of = partial(_downsampled_light, sharp, step, regions.grown.shape)
-            regions = plain_behind_doubted(prepared, regions, pixels, light_of)
+        plain = None
+        if not regions.continuous:  # The doubt of a continuous surface counts the sharp images' coherence already.
+            regions, plain = plain_behind_doubted(prepared, regions, pixels, partial(plain_pixels, prepared, sharp))
         maps = PixelMaps.of(prepared, pixels, regions, sharp, lit)
-        return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
+        return DecodedFrame(prepared, volume, pixels, regions, sharp, maps, plain)
 
     def image(self, decoded: DecodedFrame) -> Image4D:
         """The 4D image of a decoded frame."""
@@ -275,9 +276,11 @@ class Decoder:
         return replace(image, figures=figures)
 
 
-def _downsampled_light(sharp: SharpImages, step: int, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Light of both sharp images in each downsampled pixel: shape (2, n_y, n_x), with ``shape`` (n_y, n_x)."""
-    return block_sums(np.ascontiguousarray(sharp.images), step, shape)
+def plain_pixels(prepared: PreparedFrame, sharp: SharpImages) -> PlainPixels:
+    """Pixels of a frame, or of a part of it, whose sharp images show no texture."""
+    step = prepared.downsampling.step
+    light = block_sums(np.ascontiguousarray(sharp.images), step, prepared.lit.shape)
+    return PlainPixels.of(light, prepared.lit, step)
 
 
 def _empty(

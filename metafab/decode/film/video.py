@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import silent
-from metafab.decode.decoder import DecodedFrame, Decoder
+from metafab.decode.decoder import DecodedFrame, Decoder, plain_pixels
 from metafab.decode.evaluation import evaluated
 from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
 from metafab.decode.film.surface_planes import continued_surface, with_planes_of_surface
@@ -35,6 +35,7 @@ from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.registration.downsampling import relative_slices, repeated
 from metafab.decode.registration.pedestal import without_pedestal
 from metafab.decode.registration.twins import extract_part
+from metafab.decode.segmentation.objects.plain_behind import PlainPixels, plain_behind_doubted
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
 from metafab.decode.segmentation.segments import Regions
@@ -194,6 +195,8 @@ class VideoDecoder:
         sharp = self._deconvolved(prepared, last, regions, rectangles, affected, tiles.result())
         lit = [self._lit(one, sharp) for one in rectangles]
         regions = self._moved(regions, sharp, rectangles, lit, changed)
+        plain_of = partial(self._plain, prepared, last.plain, sharp, rectangles)
+        regions, plain = plain_behind_doubted(prepared, regions, pixels, plain_of, changed)
         if redrawn is not rectangles:
             lit = [self._lit(one, sharp) for one in redrawn]
         maps, patches = copied.result(), []
@@ -204,7 +207,7 @@ class VideoDecoder:
             of_part_maps = PixelMaps.of(*of_part, lit_here)
             patches.append((frame_slices(*one.part), of_part_maps, frame_slices(*around)))
         maps.overwrite(tracked.number, patches)
-        return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
+        return DecodedFrame(prepared, volume, pixels, regions, sharp, maps, plain)
 
     def _moved(
         self,
@@ -231,6 +234,18 @@ class VideoDecoder:
                     surface[one.around] = continued_surface(surface[one.around], local.grown, moved.grown)
                 regions = replace(regions, **arrays, surface_per_m=surface)
         return regions
+
+    def _plain(
+        self, prepared: PreparedFrame, last: PlainPixels | None, sharp: SharpImages, rectangles: list[_Rectangle]
+    ) -> PlainPixels:
+        """The last frame's plain pixels with those of the rectangles; without any, those of the whole frame."""
+        if last is None:
+            return plain_pixels(prepared, sharp)
+        frame_slices = self.decoder.filters.downsampling.frame_slices
+        for one in rectangles:
+            local = plain_pixels(one.prepared, sharp.within(*frame_slices(*one.around)))
+            last = last.updated(one.part, local, one.inside)
+        return last
 
     def _lit(self, one: _Rectangle, sharp: SharpImages) -> NDArray[np.bool_]:
         """Pixels around a rectangle that have light in the sharp images."""

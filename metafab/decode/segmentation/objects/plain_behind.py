@@ -11,7 +11,7 @@ depth, but is not sure.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,42 +43,88 @@ _FARTHER_SHARE, _BEFORE = 0.1, 0.1
 _OF_OBJECT, _ABOUT_RIGHT = 0.23, 0.53
 
 
+@dataclass(frozen=True)
+class PlainPixels:
+    """Pixels of a frame whose sharp images show no texture, masks of shape (n_y, n_x)."""
+
+    lit: NDArray[np.bool_]  #: Pixels with light.
+    noise: NDArray[np.bool_]  #: Lit pixels about which both sharp images show noise alone.
+    smoothed: NDArray[np.bool_]  #: Those of them about which smoothed images do, too: no texture hidden by noise.
+
+    @classmethod
+    def of(cls, light: NDArray[np.float32], lit: NDArray[np.bool_], step: int) -> PlainPixels:
+        """Plain pixels of sharp images.
+
+        Args:
+            light: shape (2, n_y, n_x), sharp light of the downsampled pixels.
+            lit: shape (n_y, n_x), pixels with light.
+            step: frame pixels from one downsampled pixel to the next.
+        """
+        window = _coherence_window(step)
+        noise = lit & (gradient_coherence(light, window) < _PLAIN)
+        return cls(lit, noise, noise & (gradient_coherence(window_means(light, _SMOOTH), window) < _PLAIN))
+
+    def updated(self, part: tuple[slice, slice], other: PlainPixels, inside: tuple[slice, slice]) -> PlainPixels:
+        """These pixels with those ``inside`` others in a part of the frame."""
+        masks = []
+        for own, new in ((self.lit, other.lit), (self.noise, other.noise), (self.smoothed, other.smoothed)):
+            masks.append(own.copy())
+            masks[-1][part] = new[inside]
+        return PlainPixels(*masks)
+
+
 def plain_behind_doubted(
-    prepared: PreparedFrame, regions: Regions, pixels: PixelDepth, light_of: Callable[[], NDArray[np.float32]]
-) -> Regions:
+    prepared: PreparedFrame,
+    regions: Regions,
+    pixels: PixelDepth,
+    plain_of: Callable[[], PlainPixels],
+    where: NDArray[np.bool_] | None = None,
+) -> tuple[Regions, PlainPixels | None]:
     """Segments without depths in the plain parts of objects that are more likely the surface behind them.
 
     Args:
         prepared: the frame.
         regions: segments, with the probability that each pixel is in the right one.
         pixels: depth of each pixel by itself.
-        light_of: returns the sharp light of the downsampled pixels, shape (2, n_y, n_x); called where it is needed.
+        plain_of: returns the plain pixels; called where they are needed.
+        where: shape (n_y, n_x), pixels that may be doubted; all by default.
+
+    Returns:
+        The segments, and the plain pixels; None if they were not needed.
     """
-    if regions.right is None or regions.continuous or len(regions.depths) < 2:
-        return regions
     step, label = prepared.downsampling.step, regions.grown
-    has_depth = regions.shown(pixels.claimed, WINDOW_PX / step) & (regions.right >= LEAST_RIGHT)
-    no_depth = prepared.lit & ~has_depth
+    if len(regions.depths) < 2:
+        return regions, None
+    right = np.ones(label.shape) if regions.right is None else regions.right
     least = _WINDOWS * WINDOW_PX**2 / step**2
-    if np.count_nonzero(no_depth) < least:
-        return regions
-    known = (label > 0) & has_depth & ~regions.of_outline[label]
+    claimed = pixels.claimed & (label > 0) & (right >= LEAST_RIGHT)
+    if claimed.size - np.count_nonzero(claimed) < least:
+        return regions, None
+    shown = label > 0 if regions.continuous else regions.shown(pixels.claimed, WINDOW_PX / step)
+    has_depth = shown & (right >= LEAST_RIGHT)
+    if has_depth.size - np.count_nonzero(has_depth) < least:
+        return regions, None
+    plain = plain_of()
+    no_depth = plain.lit & ~has_depth
+    known = has_depth & ~regions.of_outline[label]
     vergence = np.where(known, regions.vergence_per_m(label), 0.0)
-    window = round(_COHERENCE_PX / step) | 1
-    light = light_of()
-    plain = prepared.lit & (gradient_coherence(light, window) < _PLAIN)
-    behind_per_m = _behind(plain, no_depth, vergence, least)
+    behind_per_m = _behind(plain.noise, no_depth, vergence, least)
     before = vergence > (1.0 + _BEFORE) * behind_per_m
     if not before.any():
-        return regions
+        return regions, plain
     # Next to the surface's edge, windows of coherence hold the object's edge, too.
     away, row, column = nearest((behind_per_m < np.inf) & (before | ~known))
-    about = (away <= window // 2 + _EDGE) & (vergence > (1.0 + _BEFORE) * behind_per_m[row, column])
-    # Plain in smoothed images, too, and connected through such pixels: no texture hidden by noise.
-    plain &= gradient_coherence(window_means(light, _SMOOTH), window) < _PLAIN
-    surely = vergence > (1.0 + _BEFORE) * _behind(plain, no_depth, vergence, least)
-    right = np.where(before | about, np.minimum(regions.right, _ABOUT_RIGHT), regions.right)
-    return replace(regions, right=np.where(surely, np.minimum(right, _OF_OBJECT), right))
+    reach = _coherence_window(step) // 2 + _EDGE
+    about = (away <= reach) & (vergence > (1.0 + _BEFORE) * behind_per_m[row, column])
+    surely = vergence > (1.0 + _BEFORE) * _behind(plain.smoothed, no_depth, vergence, least)
+    doubted = np.where(before | about, np.minimum(right, _ABOUT_RIGHT), right)
+    doubted = np.where(surely, np.minimum(doubted, _OF_OBJECT), doubted)
+    return replace(regions, right=doubted if where is None else np.where(where, doubted, right)), plain
+
+
+def _coherence_window(step: int) -> int:
+    """Side of the window over which the sharp images are compared, downsampled pixels; odd."""
+    return round(_COHERENCE_PX / step) | 1
 
 
 def _behind(plain: NDArray[np.bool_], no_depth: NDArray[np.bool_], vergence: FloatArray, least: float) -> FloatArray:
