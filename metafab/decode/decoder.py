@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
 
@@ -17,10 +17,11 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.decode.evaluation import evaluated
 from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m, lit_pixels
-from metafab.decode.images.contrast_outlines import block_sums, moved_outlines
+from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages, TileSpectra
 from metafab.decode.images.frame_outlines import outlines_by_frame
 from metafab.decode.images.light_outlines import outlines_at_edges
+from metafab.decode.images.own_depths import plain_pixels
 from metafab.decode.images.shortest_outlines import shortest_outlines
 from metafab.decode.images.surface_edges import surface_at_edges
 from metafab.decode.images.unmixing import Unmixing
@@ -260,10 +261,10 @@ class Decoder:
             regions = shortest_outlines(regions, sharp, step)
             regions = outlines_by_frame(regions, prepared, self.layer_optics, step)
             regions = plain_parts_judged(prepared, volume, regions, pixels)
-        plain = None
+        plain, plain_of = None, cache(partial(plain_pixels, prepared, sharp))
         if not regions.continuous:  # The doubt of a continuous surface counts the sharp images' coherence already.
-            regions, plain = plain_behind_doubted(prepared, regions, pixels, partial(plain_pixels, prepared, sharp))
-        maps = PixelMaps.of(prepared, pixels, regions, sharp, lit)
+            regions, plain = plain_behind_doubted(prepared, regions, pixels, plain_of)
+        maps = PixelMaps.of(prepared, pixels, regions, sharp, lit, plain_of)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps, plain)
 
     def image(self, decoded: DecodedFrame) -> Image4D:
@@ -274,13 +275,6 @@ class Decoder:
         if figures.warning is None and unmixing is not None and not unmixing.is_possible:
             figures = replace(figures, warning=unmixing.WARNING)
         return replace(image, figures=figures)
-
-
-def plain_pixels(prepared: PreparedFrame, sharp: SharpImages) -> PlainPixels:
-    """Pixels of a frame, or of a part of it, whose sharp images show no texture."""
-    step = prepared.downsampling.step
-    light = block_sums(np.ascontiguousarray(sharp.images), step, prepared.lit.shape)
-    return PlainPixels.of(light, prepared.lit, step)
 
 
 def _empty(

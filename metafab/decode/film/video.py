@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import silent
-from metafab.decode.decoder import DecodedFrame, Decoder, plain_pixels
+from metafab.decode.decoder import DecodedFrame, Decoder
 from metafab.decode.evaluation import evaluated
 from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
 from metafab.decode.film.surface_planes import continued_surface, with_planes_of_surface
@@ -29,7 +29,7 @@ from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, focus_depths, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import SharpImages, TileSpectra
-from metafab.decode.images.own_depths import seen_elsewhere
+from metafab.decode.images.own_depths import plain_pixels, seen_elsewhere
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.registration.downsampling import relative_slices, repeated
@@ -204,7 +204,8 @@ class VideoDecoder:
             frame_slices, around = self.decoder.filters.downsampling.frame_slices, one.around
             sharp_part = sharp.within(*frame_slices(*around))
             of_part = one.prepared, pixels.within(*around), regions.within(*around), sharp_part
-            of_part_maps = PixelMaps.of(*of_part, lit_here)
+            local = partial(plain_pixels, one.prepared, sharp_part)
+            of_part_maps = PixelMaps.of(*of_part, lit_here, local if plain is None else partial(plain.within, *around))
             patches.append((frame_slices(*one.part), of_part_maps, frame_slices(*around)))
         maps.overwrite(tracked.number, patches)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps, plain)

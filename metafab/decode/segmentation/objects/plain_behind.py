@@ -64,6 +64,10 @@ class PlainPixels:
         noise = lit & (gradient_coherence(light, window) < _PLAIN)
         return cls(lit, noise, noise & (gradient_coherence(window_means(light, _SMOOTH), window) < _PLAIN))
 
+    def within(self, rows: slice, columns: slice) -> PlainPixels:
+        """Those in a part of the frame."""
+        return PlainPixels(*(mask[rows, columns] for mask in (self.lit, self.noise, self.smoothed)))
+
     def updated(self, part: tuple[slice, slice], other: PlainPixels, inside: tuple[slice, slice]) -> PlainPixels:
         """These pixels with those ``inside`` others in a part of the frame."""
         masks = []
