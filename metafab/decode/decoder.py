@@ -262,7 +262,9 @@ class Decoder:
             regions = outlines_by_frame(regions, prepared, self.layer_optics, step)
             regions = plain_parts_judged(prepared, volume, regions, pixels)
         plain, plain_of = None, cache(partial(plain_pixels, prepared, sharp))
-        if not regions.continuous:  # The doubt of a continuous surface counts the sharp images' coherence already.
+        if regions.continuous:  # What has no texture of its own continues what stands nearby, up to any distance.
+            regions = regions.refused(plain_of().wide(step))
+        else:
             regions, plain = plain_behind_doubted(prepared, regions, pixels, plain_of)
         maps = PixelMaps.of(prepared, pixels, regions, sharp, lit, plain_of)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps, plain)

@@ -64,6 +64,20 @@ class PlainPixels:
         noise = lit & (gradient_coherence(light, window) < _PLAIN)
         return cls(lit, noise, noise & (gradient_coherence(window_means(light, _SMOOTH), window) < _PLAIN))
 
+    def wide(self, step: int) -> NDArray[np.bool_]:
+        """Pixels of plain surfaces so wide that nothing about them shows their depth: shape (n_y, n_x).
+
+        Such a surface shows no texture, in smoothed images either, over :data:`_WINDOWS` windows; what shows none by
+        itself and is connected with that is part of it.
+        """
+        surely, _ = connected_components(self.smoothed)
+        is_wide = np.bincount(surely.ravel()) >= _WINDOWS * WINDOW_PX**2 / step**2
+        is_wide[0] = False
+        parts, count = connected_components(self.noise)
+        holds_wide = np.zeros(count + 1, dtype=bool)
+        holds_wide[parts[is_wide[surely]]] = True
+        return np.asarray(holds_wide[parts])
+
     def within(self, rows: slice, columns: slice) -> PlainPixels:
         """Those in a part of the frame."""
         return PlainPixels(*(mask[rows, columns] for mask in (self.lit, self.noise, self.smoothed)))
