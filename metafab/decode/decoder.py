@@ -56,8 +56,8 @@ class DecoderNumerics:
     basis_error: float = 0.02
     compensate_space_variance: bool = True  #: Whether to correct the filters for the pair's change over the field.
     outline_rounds: int = ROUNDS  #: Most rounds of the refinement of outlines.
-    #: Whether to separate layers by noise, leave outliers out of segments' depths, and compute the probability that a
-    #: pixel is in the right segment; without, decoding is faster.
+    #: Whether to separate layers by noise, leave outliers out of segments' depths, and move outlines to where the
+    #: contrast changes; without, decoding is faster.
     refined: bool = True
     #: Whether, if ``refined``, a model of the frame with occlusion refines outlines of segments, small objects and bars
     #: are searched, and wide plain parts of segments have no depth where nothing shows it.
@@ -255,7 +255,8 @@ class Decoder:
         # Moved outlines leave the sharp images: deconvolved again at the new depths, they would be 0.3 dB worse.
         lit = lit_pixels(prepared, sharp)
         regions = surface_at_edges(regions, prepared, volume, sharp)
-        regions = moved_outlines(regions, sharp, step, lit)
+        if self.numerics.refined:
+            regions = moved_outlines(regions, sharp, step, lit)
         if self.numerics.refined and self.numerics.modelled:
             regions = outlines_at_edges(regions, prepared, sharp, self.layer_optics, step)
             regions = shortest_outlines(regions, sharp, step)

@@ -168,7 +168,7 @@ def decode_command(
     read_noise_e: ReadNoise = 0.0,
     white: White = None,
     fast: Annotated[
-        bool, typer.Option("--fast", help="Faster: segments are not refined, and outlines are not doubted.")
+        bool, typer.Option("--fast", help="Faster: segments and their outlines are not refined.")
     ] = False,
     json_: Json = False,
 ) -> None:
