@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import label as connected_components
+from scipy.special import expit, logit
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import nearest
@@ -23,6 +24,7 @@ from metafab.decode.confidence import LEAST_RIGHT
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.continuous.surface import gradient_coherence
+from metafab.decode.segmentation.objects.plain_edges import light_odds
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
 from metafab.decode.segmentation.segments import Regions
 
@@ -41,12 +43,15 @@ _FARTHER_SHARE, _BEFORE = 0.1, 0.1
 #: before plain walls of unlike light, one of faint texture, the moon, four walls that are plain in one half), 0 to 74 %
 #: of the first are right, 23 % in the mean, and of those at the edge 10 to 91 %, 53 % in the mean.
 _OF_OBJECT, _ABOUT_RIGHT = 0.23, 0.53
+#: Probability from which a pixel away from the edge shows the light of its segment.
+_INSIDE_RIGHT = 0.9
 
 
 @dataclass(frozen=True)
 class PlainPixels:
-    """Pixels of a frame whose sharp images show no texture, masks of shape (n_y, n_x)."""
+    """Pixels of a frame whose sharp images show no texture, masks of shape (n_y, n_x), and their light."""
 
+    light: NDArray[np.float32]  #: Shape (2, n_y, n_x), sharp light of both images.
     lit: NDArray[np.bool_]  #: Pixels with light.
     noise: NDArray[np.bool_]  #: Lit pixels about which both sharp images show noise alone.
     smoothed: NDArray[np.bool_]  #: Those of them about which smoothed images do, too: no texture hidden by noise.
@@ -62,7 +67,7 @@ class PlainPixels:
         """
         window = _coherence_window(step)
         noise = lit & (gradient_coherence(light, window) < _PLAIN)
-        return cls(lit, noise, noise & (gradient_coherence(window_means(light, _SMOOTH), window) < _PLAIN))
+        return cls(light, lit, noise, noise & (gradient_coherence(window_means(light, _SMOOTH), window) < _PLAIN))
 
     def wide(self, step: int) -> NDArray[np.bool_]:
         """Pixels of plain surfaces so wide that nothing about them shows their depth: shape (n_y, n_x).
@@ -80,15 +85,16 @@ class PlainPixels:
 
     def within(self, rows: slice, columns: slice) -> PlainPixels:
         """Those in a part of the frame."""
-        return PlainPixels(*(mask[rows, columns] for mask in (self.lit, self.noise, self.smoothed)))
+        masks = (mask[rows, columns] for mask in (self.lit, self.noise, self.smoothed))
+        return PlainPixels(self.light[:, rows, columns], *masks)
 
     def updated(self, part: tuple[slice, slice], other: PlainPixels, inside: tuple[slice, slice]) -> PlainPixels:
         """These pixels with those ``inside`` others in a part of the frame."""
-        masks = []
-        for own, new in ((self.lit, other.lit), (self.noise, other.noise), (self.smoothed, other.smoothed)):
-            masks.append(own.copy())
-            masks[-1][part] = new[inside]
-        return PlainPixels(*masks)
+        light, masks = self.light.copy(), [one.copy() for one in (self.lit, self.noise, self.smoothed)]
+        light[:, *part] = other.light[:, *inside]
+        for own, new in zip(masks, (other.lit, other.noise, other.smoothed), strict=True):
+            own[part] = new[inside]
+        return PlainPixels(light, *masks)
 
 
 def plain_behind_doubted(
@@ -133,10 +139,17 @@ def plain_behind_doubted(
     # Next to the surface's edge, windows of coherence hold the object's edge, too.
     away, row, column = nearest((behind_per_m < np.inf) & (before | ~known))
     reach = _coherence_window(step) // 2 + _EDGE
-    about = (away <= reach) & (vergence > (1.0 + _BEFORE) * behind_per_m[row, column])
+    nearer = vergence > (1.0 + _BEFORE) * behind_per_m[row, column]
+    about = (away <= reach) & nearer
     surely = vergence > (1.0 + _BEFORE) * _behind(plain.smoothed, no_depth, vergence, least)
     doubted = np.where(before | about, np.minimum(right, _ABOUT_RIGHT), right)
     doubted = np.where(surely, np.minimum(doubted, _OF_OBJECT), doubted)
+    # What is more likely the surface's by its light, too.
+    edge, surface = (before | about) & ~surely & has_depth, plain.smoothed & (behind_per_m < np.inf)
+    if edge.any() and surface.any():
+        inside = known & nearer & (right >= _INSIDE_RIGHT) & ~before & ~about
+        odds = logit(_ABOUT_RIGHT) + light_odds(plain.light, surface, label, inside, edge, step)
+        doubted[edge] = np.minimum(doubted[edge], expit(odds))
     return replace(regions, right=doubted if where is None else np.where(where, doubted, right)), plain
 
 

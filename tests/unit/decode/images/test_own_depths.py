@@ -61,10 +61,11 @@ def test_pixels_whose_sharp_images_show_no_texture_do_not_count() -> None:
     own, plain = pixels.vergence_per_m.copy(), np.zeros(SHAPE, dtype=bool)
     own[:, :30] *= 1.2
     plain[:, :30] = True
-    of_plain = PlainPixels(np.ones_like(plain), plain, plain)
+    light, lit = np.zeros((2, *SHAPE), dtype=np.float32), np.ones_like(plain)
+    of_plain = PlainPixels(light, lit, plain, plain)
     own_depths = replace(pixels, vergence_per_m=own)
     assert seen_elsewhere(own_depths, label, vergence, STEP, lambda: of_plain).max() < 0.01
     # Texture that noise alone hides tells a depth.
-    hidden = PlainPixels(of_plain.lit, plain, np.zeros_like(plain))
+    hidden = PlainPixels(light, lit, plain, np.zeros_like(plain))
     doubt = seen_elsewhere(own_depths, label, vergence, STEP, lambda: hidden)
     np.testing.assert_array_equal(doubt, seen_elsewhere(own_depths, label, vergence, STEP))
