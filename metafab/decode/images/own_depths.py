@@ -22,7 +22,7 @@ from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.pooling import window_means
 from metafab.decode.segmentation.objects.plain_behind import PlainPixels
-from metafab.decode.segmentation.prepared_frame import PreparedFrame
+from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
 
 #: Standard errors beyond which a pixel's own depth differs clearly, and distance from outlines, frame pixels.
 _CLEARLY, _AWAY_PX = 3.0, 20.0
@@ -76,5 +76,8 @@ def _doubt(differs: NDArray[np.bool_], judged: NDArray[np.bool_], label: NDArray
     about = np.where(nearby[1] > _LEAST_JUDGED, nearby[0] / np.maximum(nearby[1], _LEAST_JUDGED), 0.0)
     of_place = np.clip((about - _FEW_ABOUT) / (_MANY_ABOUT - _FEW_ABOUT), 0.0, 1.0)
     counts = [np.bincount(label[which], minlength=int(label.max(initial=0)) + 1) for which in (differs, judged)]
-    of_segment = np.clip(_HIDDEN * (counts[0] / np.maximum(counts[1], 1) - _USUAL), 0.0, 1.0)
+    # The windows of neighbours overlap: what one window judges is one sample, and so is what is known beforehand.
+    window = WINDOW_PX**2 / step**2
+    share = (counts[0] + _USUAL * window) / (counts[1] + window)
+    of_segment = np.clip(_HIDDEN * (share - _USUAL), 0.0, 1.0)
     return np.maximum(of_place, of_segment[label]).astype(np.float64)
