@@ -4,8 +4,8 @@ Where a plain wall has no depth, segments of objects before it still grow over i
 there the twins agree at the depth of the outline, in its blur. The blur is not in the sharp images, which show noise
 alone from the object's edge on. Such a part is connected, through pixels without texture, with the part of the wall
 that has no depth. Where other pixels of that plain surface have a farther depth, the part is more likely the surface's
-than the object's. Little light hides faint texture of an object, too: what shows texture in smoothed images keeps its
-depth, but is not sure.
+than the object's. Little light hides faint texture of an object, too: what shows texture in smoothed images, and what
+lies at the edge of the plain surface, keeps its depth unless its light is more likely the surface's, and is not sure.
 """
 
 from __future__ import annotations
