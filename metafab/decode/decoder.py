@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cache, cached_property, partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from metafab.camera.frames.frame import RawFrame
 from metafab.camera.geometry import ImageMap
@@ -18,10 +17,11 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.decode.evaluation import evaluated
 from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, empty, focus_depths, full_depth_m, lit_pixels
-from metafab.decode.images.contrast_outlines import block_sums, moved_outlines
+from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import KEPT_BYTES, Deconvolver, SharpImages, TileSpectra
 from metafab.decode.images.frame_outlines import outlines_by_frame
 from metafab.decode.images.light_outlines import outlines_at_edges
+from metafab.decode.images.own_depths import plain_pixels
 from metafab.decode.images.shortest_outlines import shortest_outlines
 from metafab.decode.images.surface_edges import surface_at_edges
 from metafab.decode.images.unmixing import Unmixing
@@ -33,7 +33,7 @@ from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import repeated
 from metafab.decode.registration.twins import TwinGrid
 from metafab.decode.segmentation.layered.layer_light import LayerOptics
-from metafab.decode.segmentation.objects.plain_behind import plain_behind_doubted
+from metafab.decode.segmentation.objects.plain_behind import PlainPixels, plain_behind_doubted
 from metafab.decode.segmentation.objects.plain_parts import plain_parts_judged
 from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
@@ -56,11 +56,11 @@ class DecoderNumerics:
     basis_error: float = 0.02
     compensate_space_variance: bool = True  #: Whether to correct the filters for the pair's change over the field.
     outline_rounds: int = ROUNDS  #: Most rounds of the refinement of outlines.
-    #: Whether to separate layers by noise, leave outliers out of segments' depths, and compute the probability that a
-    #: pixel is in the right segment; without, decoding is faster.
+    #: Whether to separate layers by noise, leave outliers out of segments' depths, and move outlines to where the
+    #: contrast changes; without, decoding is faster.
     refined: bool = True
     #: Whether, if ``refined``, a model of the frame with occlusion refines outlines of segments, small objects and bars
-    #: are searched, and plain parts of segments are told from the surface behind them.
+    #: are searched, and wide plain parts of segments have no depth where nothing shows it.
     modelled: bool = True
     kept_bytes: int = KEPT_BYTES  #: Most memory of the transfer functions that are kept for the next frame.
     #: Pixels from one compared pixel to the next; None for the largest step that keeps the information about depth
@@ -111,6 +111,7 @@ class DecodedFrame:
     regions: Regions  #: Segments.
     sharp: SharpImages  #: All-in-focus images.
     maps: PixelMaps  #: Arrays of the 4D image.
+    plain: PlainPixels | None = None  #: Pixels whose sharp images show no texture; None where that is not asked.
 
 
 @dataclass(frozen=True)
@@ -254,16 +255,20 @@ class Decoder:
         # Moved outlines leave the sharp images: deconvolved again at the new depths, they would be 0.3 dB worse.
         lit = lit_pixels(prepared, sharp)
         regions = surface_at_edges(regions, prepared, volume, sharp)
-        regions = moved_outlines(regions, sharp, step, lit)
+        if self.numerics.refined:
+            regions = moved_outlines(regions, sharp, step, lit)
         if self.numerics.refined and self.numerics.modelled:
             regions = outlines_at_edges(regions, prepared, sharp, self.layer_optics, step)
             regions = shortest_outlines(regions, sharp, step)
             regions = outlines_by_frame(regions, prepared, self.layer_optics, step)
             regions = plain_parts_judged(prepared, volume, regions, pixels)
-            light_of = partial(_downsampled_light, sharp, step, regions.grown.shape)
-            regions = plain_behind_doubted(prepared, regions, pixels, light_of)
-        maps = PixelMaps.of(prepared, pixels, regions, sharp, lit)
-        return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
+        plain, plain_of = None, cache(partial(plain_pixels, prepared, sharp))
+        if regions.continuous:  # What has no texture of its own continues what stands nearby, up to any distance.
+            regions = regions.refused(plain_of().wide(step))
+        else:
+            regions, plain = plain_behind_doubted(prepared, regions, pixels, plain_of)
+        maps = PixelMaps.of(prepared, pixels, regions, sharp, lit, plain_of)
+        return DecodedFrame(prepared, volume, pixels, regions, sharp, maps, plain)
 
     def image(self, decoded: DecodedFrame) -> Image4D:
         """The 4D image of a decoded frame."""
@@ -273,11 +278,6 @@ class Decoder:
         if figures.warning is None and unmixing is not None and not unmixing.is_possible:
             figures = replace(figures, warning=unmixing.WARNING)
         return replace(image, figures=figures)
-
-
-def _downsampled_light(sharp: SharpImages, step: int, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Light of both sharp images in each downsampled pixel: shape (2, n_y, n_x), with ``shape`` (n_y, n_x)."""
-    return block_sums(np.ascontiguousarray(sharp.images), step, shape)
 
 
 def _empty(

@@ -168,9 +168,7 @@ def decode_command(
     electrons_per_count: Gain = 1.0,
     read_noise_e: ReadNoise = 0.0,
     white: White = None,
-    fast: Annotated[
-        bool, typer.Option("--fast", help="Faster: segments are not refined, and outlines are not doubted.")
-    ] = False,
+    fast: Annotated[bool, typer.Option("--fast", help="Faster: segments and their outlines are not refined.")] = False,
     json_: Json = False,
 ) -> None:
     """Decode a raw frame to a 4D image: both intensities, contrast and depth."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import time
 from copy import deepcopy
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -29,12 +29,13 @@ from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, focus_depths, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
 from metafab.decode.images.deconvolution import SharpImages, TileSpectra
-from metafab.decode.images.own_depths import seen_elsewhere
+from metafab.decode.images.own_depths import plain_pixels, seen_elsewhere
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.registration.downsampling import relative_slices, repeated
 from metafab.decode.registration.pedestal import without_pedestal
 from metafab.decode.registration.twins import extract_part
+from metafab.decode.segmentation.objects.plain_behind import PlainPixels, plain_behind_doubted
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
 from metafab.decode.segmentation.segments import Regions
@@ -194,6 +195,8 @@ class VideoDecoder:
         sharp = self._deconvolved(prepared, last, regions, rectangles, affected, tiles.result())
         lit = [self._lit(one, sharp) for one in rectangles]
         regions = self._moved(regions, sharp, rectangles, lit, changed)
+        plain_of = partial(self._plain, prepared, last.plain, sharp, rectangles)
+        regions, plain = plain_behind_doubted(prepared, regions, pixels, plain_of, changed)
         if redrawn is not rectangles:
             lit = [self._lit(one, sharp) for one in redrawn]
         maps, patches = copied.result(), []
@@ -201,10 +204,11 @@ class VideoDecoder:
             frame_slices, around = self.decoder.filters.downsampling.frame_slices, one.around
             sharp_part = sharp.within(*frame_slices(*around))
             of_part = one.prepared, pixels.within(*around), regions.within(*around), sharp_part
-            of_part_maps = PixelMaps.of(*of_part, lit_here)
+            local = partial(plain_pixels, one.prepared, sharp_part)
+            of_part_maps = PixelMaps.of(*of_part, lit_here, local if plain is None else partial(plain.within, *around))
             patches.append((frame_slices(*one.part), of_part_maps, frame_slices(*around)))
         maps.overwrite(tracked.number, patches)
-        return DecodedFrame(prepared, volume, pixels, regions, sharp, maps)
+        return DecodedFrame(prepared, volume, pixels, regions, sharp, maps, plain)
 
     def _moved(
         self,
@@ -231,6 +235,18 @@ class VideoDecoder:
                     surface[one.around] = continued_surface(surface[one.around], local.grown, moved.grown)
                 regions = replace(regions, **arrays, surface_per_m=surface)
         return regions
+
+    def _plain(
+        self, prepared: PreparedFrame, last: PlainPixels | None, sharp: SharpImages, rectangles: list[_Rectangle]
+    ) -> PlainPixels:
+        """The last frame's plain pixels with those of the rectangles; without any, those of the whole frame."""
+        if last is None:
+            return plain_pixels(prepared, sharp)
+        frame_slices = self.decoder.filters.downsampling.frame_slices
+        for one in rectangles:
+            local = plain_pixels(one.prepared, sharp.within(*frame_slices(*one.around)))
+            last = last.updated(one.part, local, one.inside)
+        return last
 
     def _lit(self, one: _Rectangle, sharp: SharpImages) -> NDArray[np.bool_]:
         """Pixels around a rectangle that have light in the sharp images."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -24,6 +24,7 @@ from metafab.decode.matching.pooling import window_means
 from metafab.decode.registration.downsampling import enlarged, relative_slices, repeated
 from metafab.decode.registration.twins import TwinGrid
 from metafab.decode.segmentation.layers import grown
+from metafab.decode.segmentation.objects.plain_behind import PlainPixels
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
 from metafab.decode.segmentation.segments import Regions
 
@@ -92,11 +93,15 @@ class PixelMaps:
         regions: Regions,
         sharp: SharpImages,
         lit: NDArray[np.bool_],
+        plain_of: Callable[[], PlainPixels],
     ) -> PixelMaps:
-        """The maps of a frame, or of a part of it; ``lit``, shape (n_y, n_x), are its :func:`lit_pixels`."""
+        """The maps of a frame, or of a part of it.
+
+        ``lit``, shape (n_y, n_x), are its :func:`lit_pixels`; ``plain_of`` returns its plain pixels.
+        """
         step, shape = prepared.downsampling.step, prepared.twins.grid.shape
         with kept_threads() as pool:
-            depths = pool.submit(depth_maps, pixels, regions, step, shape)
+            depths = pool.submit(depth_maps, pixels, regions, step, shape, plain_of)
             contrast, contrast_error = pixel_contrast(sharp, prepared.levels.read_noise_e, lit)
         maps = depths.result()
         for array, in_the_dark in (
@@ -181,8 +186,17 @@ class DepthMaps:
     depth_pixel_m: FloatArray  #: Shape (n_y, n_x), depth from the window about the pixel; NaN where none is claimed.
 
 
-def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int, int]) -> DepthMaps:
-    """Segments, depths and confidence on the frame's pixels, shape (n_y, n_x), ``step`` to a downsampled one."""
+def depth_maps(
+    pixels: PixelDepth,
+    regions: Regions,
+    step: int,
+    shape: tuple[int, int],
+    plain_of: Callable[[], PlainPixels] | None = None,
+) -> DepthMaps:
+    """Segments, depths and confidence on the frame's pixels, shape (n_y, n_x), ``step`` to a downsampled one.
+
+    ``plain_of`` returns the plain pixels, whose own depths tell nothing; without, all own depths count.
+    """
     claimed = pixels.claimed & (regions.grown > 0)
     known = regions.grown > 0 if regions.continuous else regions.shown(claimed, WINDOW_PX / step)
     segment_error = np.array([np.inf, *(depth.relative_error for depth in regions.depths)])[regions.grown]
@@ -193,7 +207,7 @@ def depth_maps(pixels: PixelDepth, regions: Regions, step: int, shape: tuple[int
     known &= right >= LEAST_RIGHT
     right = right * same_side(vergence, step)
     if not regions.continuous:
-        right = np.minimum(right, 1.0 - seen_elsewhere(pixels, regions.grown, vergence, step))
+        right = np.minimum(right, 1.0 - seen_elsewhere(pixels, regions.grown, vergence, step, plain_of))
     # A window around a pixel of a small object holds mostly light of the object's surroundings.
     agrees = claimed & (np.abs(pixels.vergence_per_m - vergence) < RIGHT_WITHIN * vergence)
     pixel_error = np.where(agrees, pixels.relative_error, np.inf)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import silent
@@ -97,7 +98,7 @@ def find_regions(
         pixels: depth of each pixel.
         known: planes of the picture; if some are tilted, pixels are assigned to them at once.
         outline_rounds: most rounds of the refinement of outlines.
-        refined: whether to separate layers by noise, leave outliers out of depths, and compute that probability.
+        refined: whether to separate layers by noise, and leave outliers out of depths.
         slopes: whether a refined segmentation measures slopes along their planes.
         surfaces: whether a refined segmentation seeks continuous surfaces.
         robust_rounds: most rounds of leaving outliers out.
@@ -111,10 +112,10 @@ def find_regions(
     if segments.continuous:  # Each pixel has its own depth and probability.
         return segments
     regions = with_plain_objects(segments, prepared, volume)
-    if not (regions.depths and refined):
+    if not regions.depths:
         return regions
     step, refused = prepared.downsampling.step, np.zeros(regions.grown.shape, dtype=bool)
-    if optics is not None:
+    if refined and optics is not None:
         regions, refused = with_bars(regions, prepared, volume, optics)
         regions = with_modelled_outlines(prepared, regions, optics, volume)
     label = regions.grown
@@ -128,6 +129,9 @@ def find_regions(
         return own if regions.of_outline[number] else misfit_of(same, own.model_error)
 
     own, moving = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool)
+    if not refined:
+        right, _ = right_by_misfit(regions, own.over_noise, own, misfit_of, step)
+        return replace(regions, right=right)
     for _ in range(robust_rounds):
         judged = np.where(prepared.spoiled, np.float32(np.inf), own.over_noise)
         before = regions.depths
@@ -160,13 +164,33 @@ def find_regions(
             unexplained[one.blob] = False
         regions = with_small_objects(regions, found, volume)
         label = regions.grown
-    across, away = across_outlines(label, regions.vergence_per_m(label))
+    right, fits_nowhere = right_by_misfit(regions, misfit_here, own, misfit_of, step)
+    return replace(regions, right=right).refused(refused | (unexplained & fits_nowhere))
+
+
+def right_by_misfit(
+    regions: Regions,
+    misfit: NDArray[np.float32],
+    own: Misfit,
+    misfit_of: Callable[[NDArray[np.int32], float], Misfit],
+    step: int,
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Probability that each pixel is in the right segment, and pixels that fit no segment across an outline either.
+
+    Both have the shape (n_y, n_x).
+
+    Args:
+        regions: segments.
+        misfit: shape (n_y, n_x), misfit of each pixel.
+        own: misfit at the depth of each pixel's segment.
+        misfit_of: returns the misfit at the depths of other segments, (n_y, n_x), with a calibration's error.
+        step: frame pixels from one downsampled pixel to the next.
+    """
+    across, away = across_outlines(regions.grown, regions.vergence_per_m(regions.grown))
     other = misfit_of(across, own.model_error) if across.any() else own
     # Outlines of plain objects are judged as a whole.
-    misfit_here = np.where(regions.of_outline[label], np.float32(1.0), misfit_here)
-    right = right_segment(misfit_here, other.over_noise, away * step)
-    refused |= unexplained & (other.is_foreign | (across == 0))
-    return replace(regions, right=right).refused(refused)
+    misfit = np.where(regions.of_outline[regions.grown], np.float32(1.0), misfit)
+    return right_segment(misfit, other.over_noise, away * step), other.is_foreign | (across == 0)
 
 
 def with_modelled_outlines(

@@ -173,7 +173,9 @@ class Regions:
         """
         if self.surface_per_m is not None:
             lit, bands = label > 0, np.zeros(label.shape, dtype=np.int32)
-            steps, place = np.unique(np.round(self.surface_per_m[lit] / step_per_m), return_inverse=True)
+            # In a film, surfaces that come up in a part have no depth where no segment is.
+            surface = np.where(np.isnan(self.surface_per_m), self._planes_per_m(label), self.surface_per_m)
+            steps, place = np.unique(np.round(surface[lit] / step_per_m), return_inverse=True)
             bands[lit] = 1 + place
             return bands, steps * step_per_m
         if not any(depth.plane.tilted for depth in self.depths):

@@ -8,4 +8,5 @@
 - ``plain_objects``  objects without texture, by the depth of their outlines
 - ``plain_parts``    wide parts of segments whose twins show no depth
 - ``plain_behind``   plain parts of objects that are the plain surface behind them
+- ``plain_edges``    light of pixels at the edge of a plain surface: the surface's, or that of the object before it
 """

@@ -66,3 +66,13 @@ def test_bands_of_a_continuous_surface_hold_its_pixels() -> None:
     lit = label > 0
     assert np.abs(vergences[bands[lit] - 1] - surface[lit]).max() <= 0.05 * (1.0 + 1e-9)
     assert vergences.size <= 12
+
+
+def test_bands_of_a_surface_without_depths_in_places_are_those_of_the_planes_there() -> None:
+    """A surface that comes up in a part of a film has none where no segment is; images are made sharp there, too."""
+    surface = np.full(LABEL.shape, 2.0)
+    surface[:, 40:] = np.nan
+    flat = tuple(SegmentDepth(v, 1e-3, 0.9, 1.0, Plane(v)) for v in (1.0, 2.0, 3.0))
+    bands, vergences = Regions(3, flat, LABEL, LABEL, LABEL, surface_per_m=surface).bands(LABEL, 0.1)
+    expected = np.where(np.arange(LABEL.shape[1]) < 40, 2.0, np.array([0.0, 1.0, 2.0, 3.0])[LABEL])
+    np.testing.assert_allclose(vergences[bands - 1], expected)

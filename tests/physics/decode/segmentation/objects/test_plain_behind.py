@@ -9,7 +9,8 @@ import pytest
 
 from metafab.camera import RawFrame, draws
 from metafab.core.conventions import FloatArray
-from metafab.decode import decode, decoder
+from metafab.decode import DecoderNumerics, decode, decoder
+from metafab.decode.decoder import FAST
 from metafab.decode.evaluation import overlap
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
@@ -28,9 +29,9 @@ def before_plain_wall(contrast: float, width: float, photons: float, seeds: tupl
     return draws(Scene(objects=(plain, textured, thing), photons_per_pixel=photons, field_px=(420, 165)), PSF, seeds)
 
 
-def decoded(frame: RawFrame) -> tuple[FloatArray, FloatArray, FloatArray]:
+def decoded(frame: RawFrame, numerics: DecoderNumerics | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Relative error of depth, NaN without one, confidence, and number of the true object."""
-    image = decode(frame, PSF)
+    image = decode(frame, PSF, numerics=numerics)
     both = overlap(image, frame)
     assert both is not None
     here, truth = both
@@ -46,21 +47,41 @@ def test_a_plain_wall_beside_an_object_does_not_surely_have_its_depth() -> None:
         error, confidence, label = decoded(frame)
         sure = np.isfinite(error) & (confidence > 0.9)
         assert (error[sure] > 0.05).mean() < 0.003  # measured: 0 to 0.0004
-        # What shows a texture of its own keeps its depth: 0.88 to 0.99 of the pixels, as before.
+        # By its light, most of the wall beside the object has no depth: 1400 to 2700 pixels had the object's.
+        assert (error[label == 1] > 0.05).sum() < 1000  # measured: 240 to 730
+        # What shows a texture of its own keeps its depth: 0.88 to 0.99 of the pixels; at most 0.02 of them went.
         for number in (2, 3):
             assert np.isfinite(error[label == number]).mean() > 0.8
 
 
-@pytest.mark.parametrize(("contrast", "photons", "seed"), [(0.12, 300.0, 1), (0.2, 500.0, 2)])
+@pytest.mark.parametrize("numerics", [FAST, DecoderNumerics(modelled=False)])
+def test_nor_without_the_model_of_the_frame(numerics: DecoderNumerics) -> None:
+    """As by ``--fast`` and in the first frame of a film: 6 to 8 % of the sure pixels were wrong."""
+    for frame in before_plain_wall(0.3, 0.12, 3000.0, SEEDS):
+        error, confidence, label = decoded(frame, numerics)
+        sure = np.isfinite(error) & (confidence > 0.9)
+        assert (error[sure] > 0.05).mean() < 0.001  # measured: 0
+        assert (error[label == 1] > 0.05).sum() < 1500  # measured: 640 to 940, of 6300 to 7000
+        # What shows a texture of its own keeps its depth: 0.94 to 1.00 of the pixels; at most 0.03 of them went.
+        for number in (2, 3):
+            assert np.isfinite(error[label == number]).mean() > 0.92
+
+
+@pytest.mark.parametrize(("contrast", "photons", "seed", "kept"), [(0.12, 300.0, 1, 0.99), (0.2, 500.0, 2, 0.93)])
 def test_faint_texture_in_little_light_keeps_its_depth(
-    contrast: float, photons: float, seed: int, monkeypatch: pytest.MonkeyPatch
+    contrast: float, photons: float, seed: int, kept: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """By the noise of single pixels alone, 60 and 5 % of the object's right depths went."""
+    """By the noise of single pixels alone, 60 and 5 % of the object's right depths went.
+
+    With 500 electrons, 6 % of them are at the edge and have the wall's light. As many wrong ones go with them.
+    """
     (frame,) = before_plain_wall(contrast, 0.14, photons, (seed,))
     error, confidence, label = decoded(frame)
-    monkeypatch.setattr(decoder, "plain_behind_doubted", lambda prepared, regions, pixels, light_of: regions)
+    monkeypatch.setattr(decoder, "plain_behind_doubted", lambda prepared, regions, pixels, plain_of: (regions, None))
     error_without, confidence_without, _ = decoded(frame)
     right, right_without = (each[label == 3] < 0.05 for each in (error, error_without))
-    assert right.sum() >= 0.99 * right_without.sum() > 0
+    assert right.sum() >= kept * right_without.sum() > 0
+    lost, spared = right_without.sum() - right.sum(), (error_without > 0.05).sum() - (error > 0.05).sum()
+    assert lost <= 1.1 * spared
     surely_wrong = ((error > 0.05) & (confidence > 0.9)).sum()
     assert surely_wrong < 0.3 * ((error_without > 0.05) & (confidence_without > 0.9)).sum()
