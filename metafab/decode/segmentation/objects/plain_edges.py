@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import nearest
 from metafab.decode.matching.pooling import label_sums, window_means
-from metafab.decode.segmentation.segments import adjacency
+from metafab.decode.segmentation.fragments import adjacency
 
 #: Side of the window over which the light of a plain surface is averaged, frame pixels.
 _LEVEL_PX = 69.0
