@@ -70,7 +70,7 @@ class Renderer:
     def piece(self, index: int, tangent_x: FloatArray, tangent_y: FloatArray) -> Piece | None:
         """Object number ``index`` on a grid of directions x/z and y/z, shape (n_y, n_x); None if it is out of sight."""
         spec = self.scene.objects[index]
-        pixel = max(_largest_slope(each) for each in (tangent_x, tangent_x.T, tangent_y, tangent_y.T))
+        pixel = max(largest_slope(each) for each in (tangent_x, tangent_x.T, tangent_y, tangent_y.T))
         near = (np.abs(tangent_x - spec.centre[0]) <= 0.5 * spec.size[0] + 2.0 * pixel) & (
             np.abs(tangent_y - spec.centre[1]) <= 0.5 * spec.size[1] + 2.0 * pixel
         )
@@ -78,7 +78,7 @@ class Renderer:
             return None
         rows, columns = (extent(near.any(axis=axis)) for axis in (1, 0))
         crop = (rows, columns)
-        fine_x, fine_y = _supersampled(tangent_x, crop), _supersampled(tangent_y, crop)
+        fine_x, fine_y = supersampled(tangent_x, crop), supersampled(tangent_y, crop)
         u, v = (fine_x - spec.centre[0]) / spec.size[0], (fine_y - spec.centre[1]) / spec.size[1]
         covered = _covered(spec, u, v, pixel / _SUPERSAMPLING)
         lit = covered * self.textures[index](u + 0.5, v + 0.5) * spec.brightness
@@ -130,13 +130,13 @@ def shifted(part: slice, by: int) -> slice:
     return slice(part.start + by, part.stop + by)
 
 
-def _largest_slope(values: FloatArray) -> float:
+def largest_slope(values: FloatArray) -> float:
     """Largest slope down the columns of a grid of pixels, as :func:`numpy.gradient` defines it."""
     inner, ends = values[2:] - values[:-2], values[[1, -1]] - values[[0, -2]]
     return max(0.5 * float(np.abs(inner).max(initial=0.0)), float(np.abs(ends).max(initial=0.0)))
 
 
-def _supersampled(values: FloatArray, crop: tuple[slice, slice]) -> FloatArray:
+def supersampled(values: FloatArray, crop: tuple[slice, slice]) -> FloatArray:
     """Values at a regular grid of s x s points inside each pixel of a crop, linear within it: shape (s n_y, s n_x)."""
     s = _SUPERSAMPLING
     offset = (np.arange(s) + 0.5) / s - 0.5

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from metafab.camera.rendering.render import Renderer, _largest_slope, _supersampled
+from metafab.camera.rendering.render import Renderer, largest_slope, supersampled
 from metafab.core.conventions import FloatArray
 from metafab.spec import Scene, SceneObject
 
@@ -31,11 +31,11 @@ def test_slopes_within_a_part_of_a_grid_are_those_of_the_grid() -> None:
     x, y = grid(12)
     bent = x + 3.0 * x * y + 40.0 * y**3
     slopes = [np.abs(slope).max() for slope in np.gradient(bent)]
-    assert [_largest_slope(bent), _largest_slope(bent.T)] == slopes
-    fine = _supersampled(bent, (slice(0, 12), slice(0, 12)))
+    assert [largest_slope(bent), largest_slope(bent.T)] == slopes
+    fine = supersampled(bent, (slice(0, 12), slice(0, 12)))
     for rows, columns in ((slice(0, 5), slice(3, 12)), (slice(4, 5), slice(7, 9)), (slice(11, 12), slice(0, 1))):
         part = fine[2 * rows.start : 2 * rows.stop, 2 * columns.start : 2 * columns.stop]
-        np.testing.assert_array_equal(_supersampled(bent, (rows, columns)), part)
+        np.testing.assert_array_equal(supersampled(bent, (rows, columns)), part)
 
 
 def test_a_tilted_piece_is_made_of_adjoining_steps() -> None:
