@@ -131,13 +131,16 @@ def shifted(part: slice, by: int) -> slice:
 
 
 def largest_slope(values: FloatArray) -> float:
-    """Largest slope down the columns of a grid of pixels, as :func:`numpy.gradient` defines it."""
+    """Largest slope down the columns of values at pixels, shape (n_y, n_x), as :func:`numpy.gradient` defines it."""
     inner, ends = values[2:] - values[:-2], values[[1, -1]] - values[[0, -2]]
     return max(0.5 * float(np.abs(inner).max(initial=0.0)), float(np.abs(ends).max(initial=0.0)))
 
 
 def supersampled(values: FloatArray, crop: tuple[slice, slice]) -> FloatArray:
-    """Values at a regular grid of s x s points inside each pixel of a crop, linear within it: shape (s n_y, s n_x)."""
+    """Values, shape (m_y, m_x), at a regular grid of s x s points inside each pixel of a crop, (n_y, n_x) of them.
+
+    They are linear within a pixel: shape (s n_y, s n_x).
+    """
     s = _SUPERSAMPLING
     offset = (np.arange(s) + 0.5) / s - 0.5
     # The slopes of the outer pixels need their neighbours.
