@@ -103,7 +103,7 @@ class ObjectWindow:
         return cls(optics, images, weight, pair, surface_per_m, surface, light, amplitude, is_round)
 
     def taken(self, at: NDArray[np.intp]) -> ObjectWindow:
-        """Some of the windows."""
+        """Some of the windows, by their numbers ``at``, shape (n,)."""
         return ObjectWindow(self.optics, *(getattr(self, one.name)[at] for one in fields(self)[1:]))
 
     def spectra(self, pictures: NDArray[np.float32]) -> Spectra:
