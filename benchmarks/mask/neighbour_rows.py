@@ -195,7 +195,7 @@ def full_wave(cell: PillarCell, size_nm: FloatArray, target: FloatArray, resolut
     """
     row = Supercell(cell, size_nm[None])
     t = orders_at(row, POLARISATIONS, resolution)
-    return _over_target(row, np.stack([t[:, axis, axis] for axis in range(2)]), target)
+    return over_target(row, np.stack([t[:, axis, axis] for axis in range(2)]), target)
 
 
 def by_meep(known: Library, size_nm: FloatArray, target: FloatArray, pixels_per_period: int) -> ComplexArray:
@@ -204,14 +204,17 @@ def by_meep(known: Library, size_nm: FloatArray, target: FloatArray, pixels_per_
     solved = [solve_supercell(row, light, settings) for light in POLARISATIONS]
     lone = lone_orders(row, known).t
     fields = [lone[:, axis, axis] + one.co_polarised - one.local_period for axis, one in enumerate(solved)]
-    return _over_target(row, np.stack(fields), target)
+    return over_target(row, np.stack(fields), target)
 
 
-def _over_target(row: Supercell, t: ComplexArray, target: FloatArray) -> ComplexArray:
-    """Amplitudes of the wanted orders among ``t``, shape (2, n_orders), over their target waves, shape (2,)."""
+def over_target(row: Supercell, t: ComplexArray, target: FloatArray) -> ComplexArray:
+    """Amplitudes of the wanted orders among ``t``, shape (2, n_orders), over their target waves, shape (2,).
+
+    ``target`` has the shape (2, n_x) of a row, or (2, n_y, n_x) of a block.
+    """
     order, found = row.propagating_orders("x"), np.empty(2, dtype=np.complex128)
     for axis, wave in enumerate(target):
-        wanted = row.local_period(order, np.exp(1j * wave)[None])
+        wanted = row.local_period(order, np.exp(1j * np.atleast_2d(wave)))
         at = int(np.argmax(np.abs(wanted)))
         found[axis] = t[axis, at] / wanted[at]
     return found
