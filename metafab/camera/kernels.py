@@ -91,7 +91,10 @@ class PairKernels:
         slack = 1e-9 * farthest
         if not nearest - slack <= depth_m <= farthest + slack:
             expected = f"a depth inside the PSF calibration, {nearest:g} to {farthest:g} m"
-            remedy = "calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`)"
+            remedy = (
+                "calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`); those of an object hold "
+                "its tilt, bulge and motion"
+            )
             raise InputError.single("scene", "depth_m", expected, f"{depth_m:g} m", remedy)
         weights = spline_weights(1.0 / self.psf.depth_m, 1.0 / depth_m)
         return np.stack([np.tensordot(weights, one, axes=1) for one in self.nodes])
