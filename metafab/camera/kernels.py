@@ -92,8 +92,8 @@ class PairKernels:
         if not nearest - slack <= depth_m <= farthest + slack:
             expected = f"a depth inside the PSF calibration, {nearest:g} to {farthest:g} m"
             remedy = (
-                "calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`); those of an object hold "
-                "its tilt, bulge and motion"
+                "calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`); the depths of an "
+                "object hold its tilt, bulge and motion"
             )
             raise InputError.single("scene", "depth_m", expected, f"{depth_m:g} m", remedy)
         weights = spline_weights(1.0 / self.psf.depth_m, 1.0 / depth_m)
