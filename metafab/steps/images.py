@@ -241,13 +241,19 @@ def _without_defects(frame: RawFrame) -> tuple[RawFrame, list[str]]:
     if (share := share_below_black(frame.frame, frame.read_noise_e)) > _MOST_BELOW_BLACK:
         return frame, [
             f"{100.0 * share:.2g} % of the pixels lie far below the black level: contrast and depth are wrong where it "
-            "is too high; state a lower one (`--black COUNTS`), or the read noise (`--read-noise-e E`)"
+            "is too high; give a lower one (`--black COUNTS`), or the camera's read noise (`--read-noise-e E`)"
         ]
     dead = dead_pixels(frame.frame, frame.read_noise_e)
-    if not dead.any():
+    if dead.has_pattern:
+        return frame, [
+            "many pixels are dark between bright ones: a mosaic of colours or polarisers, or interlaced rows? Decode a "
+            "frame of one colour and polariser"
+        ]
+    if not (count := int(dead.where.sum())):
         return frame, []
-    sentence = f"{int(dead.sum())} dead pixels, far darker than those on both sides of them, are left out"
-    return replace(frame, frame=np.where(dead, np.nan, frame.frame)), [sentence]
+    noun = "dead pixel is" if count == 1 else "dead pixels are"
+    sentence = f"{count} {noun} left out: no light between bright pixels on all sides, or all along a row or column"
+    return replace(frame, frame=np.where(dead.where, np.nan, frame.frame)), [sentence]
 
 
 def _assumed_saturation(frame: RawFrame) -> str:
