@@ -203,7 +203,9 @@ def _of_layers_or_planes(segmentation: Segmentation, coarse: list[Plane], *, ref
     if len(needed) < len(layers):
         of_noise = finer.of_layers(needed)
     # Next to outlines depths mix: more layers always fit better there, and flat treads worse than a ramp across them.
-    inside = clean.claimed & (regions.interior > 0) & (of_noise.interior > 0)
+    inside = clean.claimed & (regions.interior > 0)
+    if any(depth.plane.tilted for depth in regions.depths):
+        inside &= of_noise.interior > 0
     # Outliers leave a segment's depth only later: finer layers may move, but a slope must not pass for their steps.
     moved, tilted = plane_misfit(of_noise, pixels, inside, _MOVED), plane_misfit(regions, pixels, inside, _TILTED)
     if moved < _CLEARLY_BETTER * tilted:
