@@ -262,8 +262,9 @@ class Decoder:
             regions = shortest_outlines(regions, sharp, step)
             regions = outlines_by_frame(regions, prepared, self.layer_optics, step)
             regions = plain_parts_judged(prepared, volume, regions, pixels)
-        plain, plain_of = None, cache(partial(plain_pixels, prepared, sharp))
+        plain_of = cache(partial(plain_pixels, prepared, sharp))
         if regions.continuous:  # What has no texture of its own continues what stands nearby, up to any distance.
+            plain: PlainPixels | None = plain_of()
             regions = regions.refused(plain_of().wide(step))
         else:
             regions, plain = plain_behind_doubted(prepared, regions, pixels, plain_of)

@@ -76,7 +76,8 @@ def read_table(path: Path, name: str) -> IndexRecord:
     try:
         require_modest_table(path)
         lines = path.read_text(encoding="utf-8-sig").splitlines()
-        rows = list(csv.reader(line for line in lines if line.strip() and not line.startswith("#")))
+        numbers = [number for number, line in enumerate(lines, 1) if line.strip() and not line.startswith("#")]
+        rows = list(csv.reader(lines[number - 1] for number in numbers))
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise refuse(f"an unreadable file ({error})") from error
     comments = [line.lstrip("# ").strip() for line in lines if line.startswith("#")]
@@ -92,10 +93,10 @@ def read_table(path: Path, name: str) -> IndexRecord:
     sound = np.isfinite(table).all(axis=1) & (n > 0) & (k >= 0)
     if not sound.all():
         first = int(sound.argmin())
-        raise refuse(f"the values {', '.join(rows[1 + first])} in row {first + 1}")
+        raise refuse(f"the values {', '.join(rows[1 + first])} in line {numbers[1 + first]}")
     if not (rises := np.diff(wavelength_nm) > 0).all():
         first = int(rises.argmin())
-        got = f"{wavelength_nm[first + 1]:g} nm after {wavelength_nm[first]:g} nm in row {first + 2}"
+        got = f"{wavelength_nm[first + 1]:g} nm after {wavelength_nm[first]:g} nm in line {numbers[2 + first]}"
         raise refuse(got, "sort the rows by wavelength, each once")
 
     def index(wavelength: float) -> complex:

@@ -104,7 +104,7 @@ def read_depths(path: Path) -> FloatArray:
     lines = [line for each in text.splitlines() if (line := each.partition("#")[0].strip())]
     if len(lines) > 1 and all(_DECIMAL_COMMA.fullmatch(line) for line in lines):
         raise InputError.single(str(path), "depths", "numbers", f"decimal commas, such as {lines[0]}", remedy)
-    if lines[:1] == [_HEADER]:
+    if lines and lines[0].strip(", ").lower() == _HEADER:
         del lines[0]
     depths_m: list[float] = []
     for word in (word for line in lines for word in line.replace(",", " ").split()):

@@ -131,10 +131,12 @@ def _require_standing(made: MadePillars, radius_nm: float, etch: Etch, name: str
     if math.isinf(made.narrowest_nm):
         got, expected = "none is left", "an etch that leaves pillars"
     elif made.narrowest_nm < 2.0 * radius_nm:
-        got = f"{made.narrowest_nm:.3g} nm"
+        got = f"a narrowest one of {made.narrowest_nm:.3g} nm"
         expected = f"made pillars of {2.0 * radius_nm:.3g} nm or more, twice the radius of their printed corners"
     else:
         return
+    if etch == Etch():
+        raise InputError.single(name, "process.exposure", expected, got, "expose longer, or draw larger pillars")
     raise InputError.single(name, "process.etch", expected, f"{got} at a bias of {etch.bias_nm:g} nm", "etch less")
 
 

@@ -194,9 +194,13 @@ class VideoDecoder:
         redrawn = rectangles if regions is tracked.regions else [self._rectangle(prepared, whole)]
         sharp = self._deconvolved(prepared, last, regions, rectangles, affected, tiles.result())
         lit = [self._lit(one, sharp) for one in rectangles]
-        regions = self._moved(regions, sharp, rectangles, lit, changed)
+        if self.decoder.numerics.refined:
+            regions = self._moved(regions, sharp, rectangles, lit, changed)
         plain_of = partial(self._plain, prepared, last.plain, sharp, rectangles)
         regions, plain = plain_behind_doubted(prepared, regions, pixels, plain_of, changed)
+        if regions.continuous:
+            plain = plain_of() if plain is None else plain
+            regions = regions.refused(plain.wide(step) & changed)
         if redrawn is not rectangles:
             lit = [self._lit(one, sharp) for one in redrawn]
         maps, patches = copied.result(), []

@@ -25,6 +25,8 @@ from metafab.core.storage import hdf5
 from metafab.core.storage.limits import beyond, limit, require_modest_table
 from metafab.core.storage.pictures import read_arrays
 
+#: Modulus below which a negative one is rounding.
+_ROUNDING = 1e-6
 #: Amplitudes of a file: the ratio of the electric fields; a modulus that is the power transmittance, with the phase of
 #: that ratio; or a scattering parameter, whose squared modulus is the power transmittance.
 Quantity: TypeAlias = Literal["field", "power", "s21"]
@@ -178,8 +180,10 @@ def _sizes(columns: Mapping[str, NDArray[np.generic]], path: Path) -> tuple[tupl
 
 def _require_moduli(values: NDArray[np.generic], column: str, path: Path) -> None:
     """Refuse negative moduli."""
+    if np.iscomplexobj(values):
+        raise InputError.single(str(path), column, "moduli", "complex numbers", f"name the column `{column[:-4]}`")
     lowest = float(np.nanmin(np.asarray(values, dtype=np.float64), initial=np.inf))
-    if lowest < 0.0:
+    if lowest < -_ROUNDING:
         expected, remedy = "moduli of 0 or more", "are they decibels? Then convert them: 10^(dB / 20)"
         raise InputError.single(str(path), column, expected, f"{lowest:g}", remedy)
 

@@ -74,7 +74,7 @@ def test_numbers_pass_through() -> None:
 def test_unknown_records_name_their_neighbours() -> None:
     with pytest.raises(InputError, match="Si/Schinke"):
         _index("Si/Schinkel", 800.0)
-    with pytest.raises(InputError, match="unreadable"):
+    with pytest.raises(InputError, match="no file at that path"):
         _index("no/such/file.csv", 800.0)
 
 

@@ -50,15 +50,15 @@ def test_a_bad_table_is_refused(tmp_path: Path, text: str) -> None:
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ("900,3.6,0\n700,3.8,0\n", "got 700 nm after 900 nm in row 2; sort the rows"),
-        ("700,3.8,0\n700,3.8,0\n", "got 700 nm after 700 nm in row 2"),
-        ("700,3.8,0\n750,3.7,-0.1\n", "got the values 750, 3.7, -0.1 in row 2"),
-        ("700,nan,0\n", "got the values 700, nan, 0 in row 1"),
+        ("900,3.6,0\n700,3.8,0\n", "got 700 nm after 900 nm in line 4; sort the rows"),
+        ("700,3.8,0\n700,3.8,0\n", "got 700 nm after 700 nm in line 4"),
+        ("700,3.8,0\n750,3.7,-0.1\n", "got the values 750, 3.7, -0.1 in line 4"),
+        ("700,nan,0\n", "got the values 700, nan, 0 in line 3"),
     ],
 )
 def test_a_bad_row_is_shown(tmp_path: Path, rows: str, message: str) -> None:
     path = tmp_path / "film.csv"
-    path.write_text("wavelength_nm,n,k\n" + rows)
+    path.write_text("# measured\nwavelength_nm,n,k\n" + rows)
     with pytest.raises(InputError, match=message):
         _index(str(path), 800.0)
     with pytest.raises(InputError, match="got no file at that path; check the path"):

@@ -329,6 +329,8 @@ def test_frames_of_one_name_are_told_apart_by_their_paths(tmp_path: Path) -> Non
     assert [fault.field for fault in refused.value.faults] == ["near/p.tif", "far/p.tif"]
     (tmp_path / "paths.csv").write_text("near/p.tif, 0.3\nfar/p.tif, 0.4\nfar/q.tif, 0.5\n")
     assert read_depths(tmp_path / "paths.csv", frames) == [0.3, 0.4, 0.5]
+    (tmp_path / "dotted.csv").write_text("./near/p.tif, 0.3\nfar//p.tif, 0.4\nq.tif, 0.5\n")
+    assert read_depths(tmp_path / "dotted.csv", frames) == [0.3, 0.4, 0.5]
 
 
 @pytest.mark.parametrize("text", ["p.tif; 0.0026", "p.tif, 0,0026", "q.tif, 0.0026"])
