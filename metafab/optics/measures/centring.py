@@ -18,7 +18,7 @@ Centring: TypeAlias = Literal["auto", "mass", "brightest", "turn", "none"]
 
 #: A circle fits main lobes with an rms residual up to this share of its radius, over this arc at least (degrees).
 _CIRCLE, _LEAST_ARC_DEG = 0.1, 30.0
-#: Error of a centre (pixels) and range of the centres of mass over depth (pixels) that are told.
+#: Error of a centre, and range of the centres of mass over depth, above which there is a warning, pixels.
 _TOLD_ERROR_PX, _TOLD_DRIFT_PX = 0.25, 1.0
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from metafab.optics import Psf
     from metafab.optics.measures.landing import Places
 
-#: Share of the transmitted light below which a window is told to miss most of the spot, percent.
+#: Share of the transmitted light in a window below which there is a warning, percent.
 _LEAST_HELD_PERCENT = 2.0
 
 
