@@ -37,55 +37,44 @@ def dead_pixels(frame: FloatArray, read_noise_e: float) -> DeadPixels:
     touch, is dark all along the light on both of its sides. In the dark, and at the border, none is found.
     """
     light = np.where(np.abs(frame) <= LARGEST, frame, np.nan)
-    empty = light <= _SIGMAS * max(read_noise_e, 1.0)
-    lines, single = np.zeros(frame.shape, dtype=bool), empty.copy()
-    n_lit = 0
-    for axis in (0, 1):
-        lit, dark = _between(light, axis, read_noise_e)
-        n_lit = max(n_lit, int(lit.sum()))
-        dark &= empty
+    lines, single = np.zeros(frame.shape, dtype=bool), light <= _SIGMAS * max(read_noise_e, 1.0)
+    empty, n_lit = single.copy(), 0
+    for axis, direction in enumerate(((1, 0), (0, 1))):
+        beside = _beside(light, direction)
+        lit, dark = (_is_dark(here, beside, read_noise_e) for here in (np.zeros(()), light))
         length = lit.sum(axis=1 - axis)
-        is_dead = (length >= _LEAST_LIT_PX) & (dark.sum(axis=1 - axis) >= _DEAD_SHARE * length)
+        is_dead = (length >= _LEAST_LIT_PX) & ((dark & empty).sum(axis=1 - axis) >= _DEAD_SHARE * length)
         np.moveaxis(lines, axis, 0)[is_dead] = True
         single &= dark
-    row, column = np.nonzero(single)
-    for turned in (1, -1):
-        along = np.array([_along_diagonal(light, row, column, turned, step) for step in (-2, -1, 1, 2)])
-        least = np.max([np.minimum(along[2 - before], along[1 + after]) for before, after in _SIDES], axis=0)
-        single[row, column] &= _is_dark(light[row, column], least, read_noise_e)
+        n_lit = max(n_lit, int(lit.sum()))
+    if single.any():
+        for direction in ((1, 1), (1, -1)):
+            single &= _is_dark(light, _beside(light, direction), read_noise_e)
     dead = (lines | single) & np.isfinite(light)
     if dead.sum() > max(_MOST_DEAD * n_lit, _FEWEST_OF_PATTERN):
         return DeadPixels(np.zeros(frame.shape, dtype=bool), has_pattern=True)
     return DeadPixels(dead)
 
 
-def _between(light: FloatArray, axis: int, read_noise_e: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Pixels between bright ones along an axis, and those of them that are much darker: shapes of ``light``."""
-    lit, dark = (np.zeros(light.shape, dtype=bool) for _ in range(2))
-    for before, after in _SIDES:
-        if light.shape[axis] <= before + after:
-            continue
-        lines = np.moveaxis(light, axis, 0)
-        least = np.minimum(lines[: len(lines) - before - after], lines[before + after :])
-        inner = slice(before, len(lines) - after)
-        np.moveaxis(lit, axis, 0)[inner] |= _is_dark(np.zeros(()), least, read_noise_e)  # as a pixel without light
-        np.moveaxis(dark, axis, 0)[inner] |= _is_dark(lines[inner], least, read_noise_e)
-    return lit, dark
+def _beside(light: FloatArray, direction: tuple[int, int]) -> FloatArray:
+    """Light on both sides of each pixel along (rows, columns), the lesser of both, at the brightest of all distances.
+
+    Shape of ``light``; NaN at the border.
+    """
+    reach = max(max(sides) for sides in _SIDES)
+    wide = np.pad(light, reach, constant_values=np.nan)
+
+    def moved(steps: int) -> FloatArray:
+        row, column = (reach + steps * along for along in direction)
+        return wide[row : row + light.shape[0], column : column + light.shape[1]]
+
+    return np.asarray(np.fmax.reduce([np.minimum(moved(-before), moved(after)) for before, after in _SIDES]))
 
 
-def _is_dark(here: FloatArray, least: FloatArray, read_noise_e: float) -> NDArray[np.bool_]:
-    """Whether light is far below the lesser one on both sides, of any shape that broadcasts with it."""
-    noise = np.sqrt(np.maximum(least, 0.0) + np.maximum(here, 0.0) + 2.0 * read_noise_e**2)
-    return np.asarray((here < _DARK_SHARE * least) & (least - here > _SIGMAS * noise))
-
-
-def _along_diagonal(
-    light: FloatArray, row: NDArray[np.intp], column: NDArray[np.intp], turned: int, step: int
-) -> FloatArray:
-    """Light some steps along a diagonal from pixels, shape (n,): NaN beyond the border."""
-    i, j = row + step, column + turned * step
-    inside = (i >= 0) & (i < light.shape[0]) & (j >= 0) & (j < light.shape[1])
-    return np.where(inside, light[np.where(inside, i, 0), np.where(inside, j, 0)], np.nan)
+def _is_dark(here: FloatArray, beside: FloatArray, read_noise_e: float) -> NDArray[np.bool_]:
+    """Whether light is far below that beside it; both of any shapes that broadcast."""
+    noise = np.sqrt(np.maximum(beside, 0.0) + np.maximum(here, 0.0) + 2.0 * read_noise_e**2)
+    return np.asarray((here < _DARK_SHARE * beside) & (beside - here > _SIGMAS * noise))
 
 
 def share_below_black(frame: FloatArray, read_noise_e: float) -> float:

@@ -59,6 +59,12 @@ def test_single_dead_pixels_are_found_in_the_light_alone() -> None:
     assert not dead[row[column > 85], column[column > 85]].any()
 
 
+def test_a_dead_pixel_one_from_the_border_is_found() -> None:
+    frame = photograph(2, 3000.0, blur_px=2.0)
+    frame[1, 20] = frame[60, 1] = 0.0
+    assert np.argwhere(dead_pixels(frame, 2.0).where).tolist() == [[1, 20], [60, 1]]
+
+
 @pytest.mark.parametrize("dark", [0.0, 0.15])
 @pytest.mark.parametrize("mosaic", [np.s_[::2, ::2], np.s_[1::2]])
 def test_mosaics_have_no_dead_pixels(dark: float, mosaic: tuple[slice, ...]) -> None:
