@@ -263,11 +263,11 @@ class Decoder:
             regions = outlines_by_frame(regions, prepared, self.layer_optics, step)
             regions = plain_parts_judged(prepared, volume, regions, pixels)
         plain_of = cache(partial(plain_pixels, prepared, sharp))
-        if regions.continuous:  # What has no texture of its own continues what stands nearby, up to any distance.
-            plain: PlainPixels | None = plain_of()
-            regions = regions.refused(plain_of().wide(step))
-        else:
+        plain = plain_of() if regions.continuous else None
+        if plain is None:
             regions, plain = plain_behind_doubted(prepared, regions, pixels, plain_of)
+        else:  # What has no texture of its own continues what stands nearby, up to any distance.
+            regions = regions.refused(plain.wide(step))
         maps = PixelMaps.of(prepared, pixels, regions, sharp, lit, plain_of)
         return DecodedFrame(prepared, volume, pixels, regions, sharp, maps, plain)
 

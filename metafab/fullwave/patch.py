@@ -92,11 +92,14 @@ class Patch:
         return field_difference(self.alone, self.library)
 
     @property
+    def among(self) -> ComplexArray:
+        """The library's field with the coupling by Meep, which leaves the error of the grid out: shape (n_y, n_x)."""
+        return self.library + self.full_wave - self.alone
+
+    @property
     def model(self) -> FieldDifference | None:
-        """Field by the model of neighbours against the library's with the coupling by Meep, which has no grid error."""
-        if self.neighbours is None:
-            return None
-        return field_difference(self.neighbours, self.library + self.full_wave - self.alone)
+        """Field by the model of neighbours against :attr:`among`; None where the library holds no model."""
+        return None if self.neighbours is None else field_difference(self.neighbours, self.among)
 
 
 def field_difference(field: ComplexArray, reference: ComplexArray) -> FieldDifference:

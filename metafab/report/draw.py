@@ -215,8 +215,7 @@ def _fullwave(run: RunFolder) -> Iterator[Plan]:
         ("coupling", "Difference from single pillars on Meep's grid", patch.full_wave - patch.alone),
     ]
     if patch.neighbours is not None:
-        among = patch.library + patch.full_wave - patch.alone
-        differences.append(("model", "Difference from the model of neighbours", among - patch.neighbours))
+        differences.append(("model", "Difference from the model of neighbours", patch.among - patch.neighbours))
     for name, title, difference in differences:
         paint = partial(mask.patch_amplitude, difference, *places, title=title, largest=largest)
         yield Plan(f"patch_difference_{name}", title, paint, (4.0, 3.4), PICTURE)

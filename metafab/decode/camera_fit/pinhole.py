@@ -146,6 +146,7 @@ def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
         name, _, depth = (part.strip() for part in line.partition(","))
         if not name or name.startswith("#"):
             continue
+        name = str(Path(name))  # as frames are given, without ./ and //
         if name in table:
             faults.append(Fault(f"line {number}", "each file name once", f"{name} again"))
         try:
@@ -154,17 +155,16 @@ def read_depths(path: Path, frames: Sequence[Path]) -> list[float]:
             table[name] = math.nan
         if not (math.isfinite(table[name]) and table[name] > 0.0):
             faults.append(Fault(f"line {number}", "a file name and a depth in m", line, _LINES))
-    named, by_path = Counter(frame.name for frame in frames), {str(Path(name)): name for name in table}
+    named = Counter(frame.name for frame in frames)
     keys = [frame.name if named[frame.name] == 1 and frame.name in table else str(frame) for frame in frames]
     for frame, key in zip(frames, keys, strict=True):
-        if by_path.get(key) is None:
-            got = (
-                "none" if named[frame.name] == 1 else f"none with its path, of {named[frame.name]} frames of this name"
-            )
+        if key not in table:
+            alike = named[frame.name]
+            got = "none" if alike == 1 else f"none with its path, of {alike} frames of this name"
             faults.append(Fault(key, "a line with its depth", got, _LINES))
     if faults:
         raise InputError(str(path), faults)
-    return [table[by_path[key]] for key in keys]
+    return [table[key] for key in keys]
 
 
 def _check(frames: Sequence[RawFrame], depths_m: Sequence[float], predicted: Psf) -> None:

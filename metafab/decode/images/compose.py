@@ -195,7 +195,7 @@ def depth_maps(
 ) -> DepthMaps:
     """Segments, depths and confidence on the frame's pixels, shape (n_y, n_x), ``step`` to a downsampled one.
 
-    ``plain_of`` returns the plain pixels, whose own depths tell nothing; without, all own depths count.
+    ``plain_of`` returns the plain pixels, whose own depths do not count; without, those of all pixels do.
     """
     claimed = pixels.claimed & (regions.grown > 0)
     known = regions.grown > 0 if regions.continuous else regions.shown(claimed, WINDOW_PX / step)

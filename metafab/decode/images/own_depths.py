@@ -71,7 +71,10 @@ def seen_elsewhere(
 
 
 def _doubt(differs: NDArray[np.bool_], judged: NDArray[np.bool_], label: NDArray[np.int32], step: int) -> FloatArray:
-    """Probability that a pixel's segment is wrong, by the pixels that differ from theirs: shape (n_y, n_x) each."""
+    """Probability that a pixel's segment is wrong, by pixels whose own depth differs from their segment's.
+
+    It, the pixels that differ, those judged and the segments have the shape (n_y, n_x).
+    """
     nearby = window_means(np.stack([differs, judged]).astype(np.float32), round(_WINDOW_PX / step) | 1)
     about = np.where(nearby[1] > _LEAST_JUDGED, nearby[0] / np.maximum(nearby[1], _LEAST_JUDGED), 0.0)
     of_place = np.clip((about - _FEW_ABOUT) / (_MANY_ABOUT - _FEW_ABOUT), 0.0, 1.0)
