@@ -49,7 +49,9 @@ def expose(mean_e: FloatArray, scene: Scene, pattern: FixedPattern, rng: np.rand
     Poisson arrivals with the dark current, minus its known mean, plus Gaussian read noise; at most ``full_well_e``, and
     in steps of a count where ``bit_depth`` is given.
     """
-    arrived = rng.poisson(np.maximum(mean_e, 0.0) * pattern.response + scene.dark_frame_e).astype(np.float64)
+    mean_e = np.maximum(mean_e, 0.0) * pattern.response + scene.dark_frame_e
+    # A mean of 0 would take no random number and one of rounding, 1e-28, would: all later pixels would differ by it.
+    arrived = rng.poisson(np.maximum(mean_e, np.finfo(np.float64).tiny)).astype(np.float64)
     if scene.full_well_e is not None:
         arrived[pattern.hot] = scene.full_well_e
         arrived = np.minimum(arrived, scene.full_well_e)

@@ -48,6 +48,16 @@ def test_variance_grows_by_one_electron_squared_an_electron() -> None:
     assert variance == pytest.approx(levels + 25.0, rel=0.022)
 
 
+def test_rounding_of_dark_pixels_changes_no_other_pixel() -> None:
+    """A mean of 0 once took no random number, and one of 1e-28 did: a frame differed by the machine's rounding."""
+    sensor, shape = scene(), (32, 32)
+    pattern, mean_e = FixedPattern.of(sensor, shape, 7), np.full(shape, 300.0)
+    mean_e[::2] = 0.0
+    rounded = np.where(mean_e == 0.0, np.random.default_rng(2).normal(0.0, 1e-28, shape), mean_e)
+    first, second = (expose(mean, sensor, pattern, np.random.default_rng(1)) for mean in (mean_e, rounded))
+    np.testing.assert_array_equal(first, second)
+
+
 def test_unequal_pixels_add_a_variance_with_the_square_of_the_mean_that_differences_remove() -> None:
     first, second = (exposed(1e5, seed, response_rms=0.02) for seed in (1, 2))
     assert first.var() == pytest.approx(1e5 + (0.02 * 1e5) ** 2, rel=0.03)

@@ -2,7 +2,7 @@
 
 Where a plain wall has no depth, segments of objects before it still grow over it, up to a window from their own pixels:
 there the twins agree at the depth of the outline, in its blur. The blur is not in the sharp images, which show noise
-alone from the object's edge on. Such a part is connected, through pixels without texture, with the part of the wall
+alone from the object's edge on. Such a part is connected, through pixels without texture, with a part of the wall
 that has no depth. Where other pixels of that plain surface have a farther depth, the part is more likely the surface's
 than the object's. Little light hides faint texture of an object, too: what shows texture in smoothed images, and what
 lies at the edge of the plain surface, keeps its depth unless its light is more likely the surface's, and is not sure.
@@ -33,8 +33,9 @@ from metafab.decode.segmentation.segments import Regions
 _COHERENCE_PX, _PLAIN, _SMOOTH = 15.0, 0.5, 3
 #: Width of an edge in the sharp images and in their gradients, downsampled pixels.
 _EDGE = 2
-#: Least area without a depth of a plain surface, in windows: plain parts of objects before textured walls have less.
-_WINDOWS = 8.0
+#: Least area of a wide plain surface, and of its part without a depth, in windows: plain parts of objects before
+#: textured walls are smaller, or have a depth all over.
+_WINDOWS, _WITHOUT = 8.0, 1.0
 #: Share of a plain surface's pixels with a depth that may be farther than it, and relative difference of vergence from
 #: which a part is before it: the little that a plain surface shows is up to 9 % off.
 _FARTHER_SHARE, _BEFORE = 0.1, 0.1
@@ -120,19 +121,19 @@ def plain_behind_doubted(
     if len(regions.depths) < 2:
         return regions, None
     right = np.ones(label.shape) if regions.right is None else regions.right
-    least = _WINDOWS * WINDOW_PX**2 / step**2
+    window = WINDOW_PX**2 / step**2
     claimed = pixels.claimed & (label > 0) & (right >= LEAST_RIGHT)
-    if claimed.size - np.count_nonzero(claimed) < least:
+    if claimed.size - np.count_nonzero(claimed) < _WITHOUT * window:
         return regions, None
     shown = label > 0 if regions.continuous else regions.shown(pixels.claimed, WINDOW_PX / step)
     has_depth = shown & (right >= LEAST_RIGHT)
-    if has_depth.size - np.count_nonzero(has_depth) < least:
+    if has_depth.size - np.count_nonzero(has_depth) < _WITHOUT * window:
         return regions, None
     plain = plain_of()
     no_depth = plain.lit & ~has_depth
     known = has_depth & ~regions.of_outline[label]
     vergence = np.where(known, regions.vergence_per_m(label), 0.0)
-    behind_per_m = _behind(plain.noise, no_depth, vergence, least)
+    behind_per_m = _behind(plain.noise, no_depth, vergence, window)
     before = vergence > (1.0 + _BEFORE) * behind_per_m
     if not before.any():
         return regions, plain
@@ -141,7 +142,7 @@ def plain_behind_doubted(
     reach = _coherence_window(step) // 2 + _EDGE
     nearer = vergence > (1.0 + _BEFORE) * behind_per_m[row, column]
     about = (away <= reach) & nearer
-    surely = vergence > (1.0 + _BEFORE) * _behind(plain.smoothed, no_depth, vergence, least)
+    surely = vergence > (1.0 + _BEFORE) * _behind(plain.smoothed, no_depth, vergence, window)
     doubted = np.where(before | about, np.minimum(right, _ABOUT_RIGHT), right)
     doubted = np.where(surely, np.minimum(doubted, _OF_OBJECT), doubted)
     # What is more likely the surface's by its light, too.
@@ -158,7 +159,7 @@ def _coherence_window(step: int) -> int:
     return round(_COHERENCE_PX / step) | 1
 
 
-def _behind(plain: NDArray[np.bool_], no_depth: NDArray[np.bool_], vergence: FloatArray, least: float) -> FloatArray:
+def _behind(plain: NDArray[np.bool_], no_depth: NDArray[np.bool_], vergence: FloatArray, window: float) -> FloatArray:
     """1/depth of the wide plain surface, of which other parts have no depth, that each pixel is part of.
 
     inf for pixels of none. Arrays have the shape (n_y, n_x).
@@ -167,12 +168,13 @@ def _behind(plain: NDArray[np.bool_], no_depth: NDArray[np.bool_], vergence: Flo
         plain: pixels whose sharp images show noise.
         no_depth: pixels without a depth.
         vergence: 1/depth of segments; 0 where none counts.
-        least: pixels without a depth that make a surface a wide one.
+        window: pixels of a window.
     """
     surface, count = connected_components(plain)
-    without = np.bincount(surface[no_depth], minlength=count + 1)
+    area, without = np.bincount(surface.ravel()), np.bincount(surface[no_depth], minlength=count + 1)
     behind_per_m = np.full(count + 1, np.inf)
-    for number in (1 + np.flatnonzero(without[1:] >= least)).tolist():
+    is_wide = (area >= _WINDOWS * window) & (without >= _WITHOUT * window)
+    for number in (1 + np.flatnonzero(is_wide[1:])).tolist():
         own = vergence[(surface == number) & (vergence > 0.0)]
         if own.size:
             behind_per_m[number] = np.quantile(own, _FARTHER_SHARE)
