@@ -17,9 +17,10 @@ from metafab.camera.rendering.lens import Lens, partial_progress
 from metafab.camera.rendering.motion import Shutter, moved
 from metafab.camera.rendering.occlusion import PINHOLE, Occluder, visible_piece
 from metafab.camera.rendering.picture import DepthPicture
-from metafab.camera.rendering.render import Renderer
+from metafab.camera.rendering.render import Renderer, step_depths_m
 from metafab.camera.rendering.windows import Window, sensor_windows
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.progress import Progress, silent
 from metafab.optics.point_spread import Psf
 from metafab.spec.scene import Scene
@@ -102,6 +103,7 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
     row has its own instants. The truth is that of the middle of each row's exposure. Noise differs from frame to frame;
     textures stay with their objects, and hot pixels in their places.
     """
+    _require_depths(scene, psf)
     lenses = _lenses(scene, psf, _blurs(psf))
     yield from _film(scene, psf, lenses, scene.seed if seed is None else seed, progress)
 
@@ -115,10 +117,11 @@ def draws(scene: Scene, psf: Psf, seeds: Iterable[int]) -> Iterator[RawFrame]:
 
 
 def require_fit(scene: Scene, psf: Psf) -> None:
-    """Raise the InputError of :func:`capture` for a field or a picture that does not fit the pair, before any blur."""
+    """Raise the InputError of :func:`capture` for a field or depths that do not fit the pair, before any blur."""
     sensor_windows(scene, psf, ImageMap.from_psf(psf))
     if scene.rgbd is not None:
         DepthPicture.of(scene, psf.pixel_um / psf.sensor_distance_um).require_inside(psf.depth_m)
+    _require_depths(scene, psf)
 
 
 def batch(scenes: Iterable[Scene], psf: Psf, count: int, seed: int) -> Iterator[Draw]:
@@ -133,8 +136,34 @@ def batch(scenes: Iterable[Scene], psf: Psf, count: int, seed: int) -> Iterator[
             yield Draw(index, number, frame)
 
 
+def _require_depths(scene: Scene, psf: Psf) -> None:
+    """Raise InputError with every object that is outside the calibrated depths in any frame."""
+    nearest, farthest = psf.depth_m.min() * (1.0 - 1e-9), psf.depth_m.max() * (1.0 + 1e-9)
+    expected = f"depths inside the PSF calibration, {psf.depth_m.min():g} to {psf.depth_m.max():g} m"
+    remedy = "move the object, or calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`)"
+    faults = []
+    for number, (low, high) in enumerate(_depth_ranges_m(scene, psf.pixel_um / psf.sensor_distance_um)):
+        if low < nearest or high > farthest:
+            got = f"{low:g} m" if high - low <= 1e-9 * low else f"{low:g} to {high:g} m by its tilt, bulge or motion"
+            faults.append(Fault(f"objects[{number}].depth_m", expected, got, remedy))
+    if faults:
+        raise InputError("scene", faults)
+
+
+def _depth_ranges_m(scene: Scene, pixel_tangent: float) -> list[tuple[float, float]]:
+    """Nearest and farthest depth of each object in all frames, m."""
+    first, last = (
+        Shutter.of(scene, number * scene.frame_interval_s, scene.field_px[0], pixel_tangent).instants_s
+        for number in (0, scene.frames - 1)
+    )
+    ends = [[step_depths_m(one) for one in moved(scene, time_s).objects] for time_s in (first[0], last[-1])]
+    return [(min(a[0], b[0]), max(a[-1], b[-1])) for a, b in zip(*ends, strict=True)]
+
+
 def _draws(scene: Scene, psf: Psf, blurs: Sequence[Blurs], seeds: Iterable[int]) -> Iterator[RawFrame]:
-    lenses, first = _lenses(scene, psf, blurs), replace(scene, frames=1)
+    first = replace(scene, frames=1)
+    _require_depths(first, psf)
+    lenses = _lenses(scene, psf, blurs)
     is_drawn = any(spec.texture == "fractal" for spec in scene.objects)
     for seed in seeds:
         for lens in lenses if is_drawn else ():

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from metafab.camera import ImageMap, RawFrame, capture
+from metafab.camera import ImageMap, RawFrame, capture, film
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.optics.point_spread import Psf
@@ -148,6 +148,19 @@ def test_the_field_dependent_pair_reduces_to_the_plain_one_on_the_axis(psf: Psf,
 def test_depths_outside_the_calibration_are_refused(psf: Psf) -> None:
     with pytest.raises(InputError, match="inside the PSF calibration"):
         capture(scene(SceneObject(depth_m=0.01)), psf)
+
+
+def test_every_object_outside_the_calibration_is_named_with_its_depths(psf: Psf) -> None:
+    inside = SceneObject(depth_m=0.003)
+    objects = SceneObject(depth_m=0.01), inside, dataclasses.replace(inside, tilt=(0.9, 0.0))
+    with pytest.raises(InputError) as refused:
+        capture(scene(*objects), psf)
+    far, tilted = refused.value.faults
+    assert (far.field, far.got) == ("objects[0].depth_m", "0.01 m")
+    assert tilted.field == "objects[2].depth_m" and "by its tilt" in tilted.got
+    drifting = dataclasses.replace(inside, velocity_m_per_s=(0.0, 0.0, 0.1))
+    with pytest.raises(InputError, match=r"objects\[1\].*0.003\d* to 0.013\d* m by its tilt, bulge or motion"):
+        next(film(scene(inside, drifting, frames=3, frame_interval_s=0.05, exposure_s=0.001), psf))
 
 
 def test_overlapping_images_are_refused(psf: Psf) -> None:
