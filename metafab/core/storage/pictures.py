@@ -184,9 +184,17 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
             # A damaged size field may claim billions of strips.
             if max(page.imagewidth, page.imagelength) > _LONGEST_SIDE_PX:
                 raise ValueError(f"{page.imagelength} x {page.imagewidth} pixels, more than {_LONGEST_SIDE_PX} a side")
-            require_few(path, *file.series[0].shape)
+            # Pages that were written one by one are a series each; thumbnails are reduced ones.
+            pictures = [one for one in file.series if not one.keyframe.is_reduced] or list(file.series[:1])
+            kinds = {(one.shape, one.dtype): None for one in pictures}
+            if len(kinds) > 1:
+                got = ", ".join(f"{' x '.join(map(str, shape))} {dtype}" for shape, dtype in list(kinds)[:_MOST_NAMES])
+                remedy = "save the wanted pages alone in a file"
+                raise InputError.single(str(path), "file", "a TIFF file with pages of one size and type", got, remedy)
+            require_few(path, *pictures[0].shape, *([len(pictures)] if len(pictures) > 1 else []))
             _require_modest_strips(path, file)
-            return np.asarray(file.asarray())
+            pages = [np.asarray(one.asarray()) for one in pictures]
+            return pages[0] if len(pages) == 1 else np.stack(pages)
 
     def png(path: Path) -> np.ndarray:
         from PIL import Image

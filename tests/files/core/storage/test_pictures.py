@@ -216,3 +216,17 @@ def test_a_grey_png_with_transparency_is_grey(tmp_path: Path) -> None:
 def test_a_last_axis_of_one_value_is_no_colour(tmp_path: Path) -> None:
     np.save(tmp_path / "one.npy", np.arange(12.0).reshape(3, 4, 1))
     assert np.array_equal(read_counts(tmp_path / "one.npy")[0], np.arange(12.0).reshape(3, 4))
+
+
+def test_pages_that_were_written_one_by_one_are_all_read_and_unlike_ones_refused(tmp_path: Path) -> None:
+    pages = np.arange(60, dtype=np.uint16).reshape(3, 4, 5)
+    for name, written in (("alike", pages), ("unlike", [pages[0], pages[1, :2]]), ("thumbnail", [pages[0]])):
+        with tifffile.TiffWriter(tmp_path / f"{name}.tif") as file:
+            for page in written:
+                file.write(page)
+            if name == "thumbnail":
+                file.write(pages[1, ::2, ::2], subfiletype=1)
+    np.testing.assert_array_equal(read_array(tmp_path / "alike.tif"), pages)
+    np.testing.assert_array_equal(read_grey(tmp_path / "thumbnail.tif"), pages[0])
+    with pytest.raises(InputError, match="4 x 5 uint16, 2 x 5 uint16"):
+        read_array(tmp_path / "unlike.tif")
