@@ -111,6 +111,10 @@ def with_bars(
     if not behind.any():
         return regions, refused
     misfit = misfit_at(prepared, volume, regions.vergence_per_m(behind), regions.interior)
+    mixtures = _mixtures(regions, misfit)
+    if mixtures.any():
+        behind = surfaces_behind(regions, step, mixtures)
+        misfit = misfit_at(prepared, volume, regions.vergence_per_m(behind), regions.interior)
     found = ridges(behind, misfit, prepared.spoiled, step)
     if not found:
         return regions, refused
@@ -145,9 +149,25 @@ def with_bars(
     return replace(others, depths=tuple(depths), label=label, interior=inside, grown=grown), refused
 
 
-def surfaces_behind(regions: Regions, step: int) -> NDArray[np.int32]:
-    """The wide segment at or nearest to each pixel of a segment: shape (n_y, n_x), 0 for none."""
-    wide = is_wide(regions, step)[regions.grown]
+def _mixtures(regions: Regions, misfit: Misfit) -> NDArray[np.bool_]:
+    """Whether the interior of each segment holds light of another depth, by number: shape (n_segments + 1,).
+
+    The windows about a bar, which hold the surface behind it, too, may be a segment at a depth between both.
+    """
+    pixels = np.bincount(regions.interior.ravel(), minlength=len(regions.depths) + 1)
+    foreign = np.bincount(regions.interior[misfit.is_foreign], minlength=pixels.size)
+    return np.asarray((2 * foreign > pixels) & (np.arange(pixels.size) > 0))
+
+
+def surfaces_behind(regions: Regions, step: int, mixtures: NDArray[np.bool_] | None = None) -> NDArray[np.int32]:
+    """The wide segment at or nearest to each pixel of a segment: shape (n_y, n_x), 0 for none.
+
+    ``mixtures`` of two depths, by number, shape (n_segments + 1,), are no surfaces.
+    """
+    is_surface = is_wide(regions, step)
+    if mixtures is not None:
+        is_surface &= ~mixtures
+    wide = is_surface[regions.grown]
     if not wide.any():
         return np.zeros_like(regions.grown)
     _, row, column = nearest(wide)

@@ -15,11 +15,12 @@ SIZE = (0.012, 0.34)
 @pytest.mark.parametrize("contrast", [1.0, 2.0])
 def test_a_bar_is_found_at_its_depth(contrast: float) -> None:
     """Of a contrast of 2, the product of the twins is negative along the bar; without its segment it had no depth."""
-    image, frame = decoded(SceneObject(depth_m=0.0027, size=SIZE, polarisation_contrast=contrast), seed=2)
+    image, frame = decoded(SceneObject(depth_m=0.0027, size=SIZE, polarisation_contrast=contrast))
     errors, wall = errors_of(image, frame, 2), errors_of(image, frame, 1)
     bar = max((one for one in image.segments if one.depth_m < 0.0031), key=lambda one: one.pixels)
     assert np.isfinite(errors).mean() > 0.6
-    # Measured: 0.2 to 1.5 % in eleven of twelve draws; in one, the bar was a segment as wide as a window, 6 % off.
+    # Measured: 0.2 to 2.2 % in twelve draws, 0.6 to 3.8 % stated. In this one, a segment as wide as a window mixed the
+    # depths of bar and wall, 6 % off with 0.5 % stated.
     assert abs(np.nanmedian(errors)) < min(1.3 * bar.error_m / bar.depth_m, 0.04)
     claimed_as_wall = np.abs((1.0 + errors) * 0.0027 / WALL_M - 1.0) < 0.05
     assert claimed_as_wall.mean() < 0.1
