@@ -101,7 +101,7 @@ def _mappings(design: Design, kept_sites: int) -> int:
     if math.prod(lattice_of(design).shape) <= kept_sites:
         return 1
     dose = design.mask.dose
-    return 3 if dose is not None and dose.by == "density" else 2
+    return 3 if dose is not None and dose.by in {"size", "density"} else 2
 
 
 def _encoded_bytes(writer: MaskWriter, stamps: Stamps, tile: PillarTile) -> int:

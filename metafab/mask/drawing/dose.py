@@ -26,7 +26,7 @@ class DoseClasses:
     The classes divide the range of areas, or of densities, over the whole mask evenly; they do not depend on tiles.
 
     Args:
-        pillars: the drawn pillars; read once if classes go by density.
+        pillars: the drawn pillars; read once if classes go by size or density.
         dose: number and kind of the classes; None for a single class.
         outline: outline of the pillars, for their areas.
         of_site: shape (n_y, n_x) of the lattice, class of each site; for classes by proximity, and only for them.
@@ -51,7 +51,11 @@ class DoseClasses:
             return
         area = outline.area(pillars.size_dbu)
         if dose.by == "size":
-            self._of_size = _classes(area, area[1:], dose.classes)
+            drawn = np.zeros(area.size, dtype=bool)
+            for tile in pillars.tiles():
+                drawn[tile.size_index] = True
+            drawn[0] = False
+            self._of_size = _classes(area, area[drawn], dose.classes)
             return
         lattice = pillars.lattice
         self._block_columns, self._block_rows = [

@@ -61,8 +61,6 @@ class GdsiiEncoder(TileEncoder):
         """Boundaries or references of one stamp."""
         if stamp.polygons is not None:
             return self._polygons(tile, cell, stamp)
-        if max(stamp.layer, stamp.datatype) >= 2**15:
-            raise _out_of_range(0, f"{stamp.layer}/{stamp.datatype}")
         words = self._buffer(int(np.count_nonzero(tile.size_index)))
         fill_boundaries(
             np.ascontiguousarray(tile.size_index),
@@ -148,7 +146,7 @@ class GdsiiWriter(MaskWriter):
 
     def _draw(self, layer: int, rectangles: IntArray) -> None:
         reach = int(np.abs(rectangles).sum(axis=1).max(initial=0))
-        if max(reach, layer << 16) >= 2**31:
+        if reach >= 2**31:
             raise _out_of_range(reach, f"{layer}/0")
         for x, y, width, height in rectangles.tolist():
             corners = np.array([[x, y], [x + width, y], [x + width, y + height], [x, y + height]])
@@ -156,7 +154,7 @@ class GdsiiWriter(MaskWriter):
 
     def _draw_polygon(self, layer: int, datatype: int, corners: IntArray) -> None:
         reach = int(np.abs(corners).max())
-        if reach >= 2**31 or max(layer, datatype) >= 2**15:
+        if reach >= 2**31:
             raise _out_of_range(reach, f"{layer}/{datatype}")
         self._write(boundary(corners, layer, datatype).byteswap().tobytes())
 
@@ -216,8 +214,10 @@ def _repeated(element: NDArray[np.int32], first: int, points: int, places: IntAr
 def boundary(corners: IntArray, layer: int, datatype: int) -> NDArray[np.int32]:
     """Words of a BOUNDARY in native byte order, shape (n_words,); its points begin at word 5.
 
-    Corners have the shape (n, 2) and are not closed.
+    Corners have the shape (n, 2) and are not closed. InputError for a layer or datatype beyond 15 bits.
     """
+    if max(layer, datatype) > _LARGEST:
+        raise _out_of_range(0, f"{layer}/{datatype}")
     closed = np.concatenate([corners, corners[:1]]).astype(">i4").tobytes()
     data = (
         record(records.BOUNDARY)

@@ -225,3 +225,14 @@ def test_corners_that_fabrication_rounds_are_not_drawn(tiny_design: Design) -> N
     drawn = replace(printed, mask=replace(printed.mask, draw_corners=True))
     assert Outline.of(printed).is_rectangle
     assert Outline.of(drawn).shape == "rounded"
+
+
+@pytest.mark.parametrize("flat", [False, True])
+def test_a_layer_that_gdsii_cannot_hold_is_refused(
+    flat: bool, shaped: tuple[Design, Assignment], tmp_path: Path
+) -> None:
+    design, mapped = shaped
+    beyond = replace(design, mask=replace(design.mask, layer=2**15, flat=flat, formats=("gds",)))
+    with pytest.raises(InputError, match="32768/"):
+        mask.write(mapped.pillars, tmp_path, beyond)
+    assert not list(tmp_path.iterdir())
