@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from metafab.core.errors import InputError
 from metafab.layout.joint import JointSizes
 from metafab.layout.outlines import Outline
 from metafab.layout.pillars import Lattice
 from metafab.library import Library, SizeTable, build_size_table
-from metafab.library.neighbours import require_neighbours
 from metafab.library.neighbours.mask.choice import NeighbourChoice
 from metafab.spec import Design
 
@@ -59,8 +59,14 @@ def neighbour_choice(library: Library, design: Design, each: SizeTable) -> Neigh
     """
     if not design.rules.neighbours:
         return None
+    if library.neighbours is None:
+        expected, remedy = (
+            "a library with a model of neighbours",
+            "add [neighbours] to the unit cell, or leave it out",
+        )
+        raise InputError.single(design.name, "rules.neighbours", expected, "pillars among equal ones only", remedy)
     size_nm = np.multiply(each.size_dbu, each.database_unit_nm, dtype=np.float64)
-    return NeighbourChoice.of(require_neighbours(library), size_nm, each.t)
+    return NeighbourChoice.of(library.neighbours, size_nm, each.t)
 
 
 def joint_sizes(library: Library, design: Design, each: SizeTable, lattice: Lattice) -> JointSizes | None:

@@ -187,6 +187,10 @@ class Design(Checked):
         stop_um = None if self.optics is None else self.optics.stop_um
         if stop_um is not None and stop_um > self.device.aperture_um:
             yield f"`optics.stop_um` must be at most `device.aperture_um`, {self.device.aperture_um:g} um"
+        least_um = 2e-3 * max(self.unit_cell.cell.period_nm)
+        if stop_um is not None and stop_um < least_um:
+            least = f"at least {least_um:g} um, two periods"
+            yield f"`optics.stop_um` must be {least}, got {stop_um:g}; is it in micrometres?"
 
     def _faults_of_rings(self) -> Iterator[str]:
         """Faults of rings: a wall or hole that cannot be drawn, or that breaks the rules at every outer diameter."""

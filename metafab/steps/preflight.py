@@ -46,6 +46,7 @@ def preflight(design: Design) -> None:
             faults += error.faults
     if design.has_mask:
         faults += _unreachable_rules(design)
+        faults += _undrawable_pillars(design)
         faults += _proximity_classes(design)
         faults += _pillars_unsolved_at_angles(design)
     if not faults:
@@ -102,20 +103,57 @@ def _overlapping_images(design: Design, scene: Scene) -> list[Fault]:
 
 def _unreachable_rules(design: Design) -> list[Fault]:
     """Rules that no size of the library keeps."""
-    sweep, period_nm = design.unit_cell.sweep, design.unit_cell.cell.period_nm
+    sweep, cell = design.unit_cell.sweep, design.unit_cell.cell
     faults = []
     for axis, (name, (low, high)) in enumerate((("width", sweep.width_nm), ("length", sweep.length_nm))):
+        smallest_nm = max(low, design.min_side_nm)
         if design.min_side_nm > high:
-            expected = f"at most the largest {name} of the library, {high:g} nm"
-            keys = "rules.min_feature_nm" + (", rules.min_gap_nm" if design.unit_cell.cell.shape == "ring" else "")
-            faults.append(Fault(keys, expected, f"{design.min_side_nm:g} nm", "sweep larger sizes"))
-        apart_nm = period_nm[axis] - max(low, design.min_side_nm)
-        if not design.unit_cell.cell.is_hexagonal and design.min_spacing_nm > apart_nm:
+            faults.append(_too_large_sides(design, name, high))
+            smallest_nm = low
+        apart_nm = cell.period_nm[axis] - smallest_nm
+        if not cell.is_hexagonal and design.min_spacing_nm > apart_nm:
             expected = (
                 f"at most {apart_nm:g} nm, the gap of two of the smallest pillars side by side along {'xy'[axis]}"
             )
-            got = f"{design.min_spacing_nm:g} nm"
+            got = _with_bias(design.rules.min_gap_nm, design.min_spacing_nm)
             faults.append(Fault("rules.min_gap_nm", expected, got, "sweep smaller sizes, or widen the period"))
+    return faults
+
+
+def _too_large_sides(design: Design, name: str, largest_nm: float) -> Fault:
+    """The rule that asks for more than the largest width or length (``name``) of the library."""
+    cell, rules = design.unit_cell.cell, design.rules
+    of_library = f"the largest {name} of the library, {largest_nm:g} nm"
+    if cell.shape == "ring":
+        keys, got = "rules.min_feature_nm, rules.min_gap_nm", f"{design.min_side_nm:g} nm"
+        return Fault(keys, f"at most {of_library}", got, "sweep larger sizes")
+    ratio = rules.max_aspect_ratio
+    if ratio is not None and cell.height_nm > ratio * largest_nm:
+        expected = f"at least {cell.height_nm / largest_nm:.4g}, the height of {cell.height_nm:g} nm over {of_library}"
+        return Fault("rules.max_aspect_ratio", expected, f"{ratio:g}", "allow more, or sweep larger sizes")
+    got = _with_bias(rules.min_feature_nm, design.min_side_nm)
+    return Fault("rules.min_feature_nm", f"at most {of_library}", got, "sweep larger sizes")
+
+
+def _with_bias(rule_nm: float, pillars_nm: float) -> str:
+    """A rule for what is drawn, and what it asks of the pillars where ``mask.bias_nm`` changes it."""
+    return f"{rule_nm:g} nm" + ("" if rule_nm == pillars_nm else f", with `mask.bias_nm` {pillars_nm:g} nm")
+
+
+def _undrawable_pillars(design: Design) -> list[Fault]:
+    """A tone or a database unit that the pillars of the unit cell do not allow."""
+    cell, mask, sweep = design.unit_cell.cell, design.mask, design.unit_cell.sweep
+    faults = []
+    is_drawn_round = mask.draw_corners and bool(cell.corner_radius_nm)
+    if mask.tone == "inverted" and (cell.shape != "rectangle" or is_drawn_round):
+        expected = "rectangular pillars for 'inverted', around which the field is rectangles"
+        got = "rounded rectangles" if cell.shape == "rectangle" else f"pillars of shape '{cell.shape}'"
+        faults.append(Fault("mask.tone", expected, got, "use 'positive'"))
+    half_steps = 0.5 * sweep.size_grid_nm / mask.database_unit_nm
+    if abs(half_steps - round(half_steps)) > 1e-6:
+        expected = f"a unit that divides half of `sweep.size_grid_nm`, {0.5 * sweep.size_grid_nm:g} nm"
+        remedy = "use a smaller unit or another `sweep.size_grid_nm`; nothing is rounded silently"
+        faults.append(Fault("mask.database_unit_nm", expected, f"{mask.database_unit_nm:g} nm", remedy))
     return faults
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from metafab.cell.supercell import IntArray, SupercellOrders
     from metafab.core.conventions import ComplexArray
 
+#: Most blocks that a warning names.
+_MOST_NAMED = 5
 #: A simulation is stopped when it takes this many times the estimated time.
 _PATIENCE = 20.0
 
@@ -193,10 +196,22 @@ def fullwave_command(
             found = solve_blocks(
                 supercells, opened, solver, numerics, record=record, executor=executor, progress=work.progress
             )
+        if solver == "rcwa":
+            _announce_missed([orders.error for orders in found], numerics.rcwa.target_error)
         result = {"solver": solver, "blocks": [_answer(orders) for orders in found]}
         if output is not None:
             write_json(output, result)
         show(result, json_, seconds=cost.seconds, file=output)
+
+
+def _announce_missed(errors: Sequence[float], target_error: float) -> None:
+    """Warn of blocks, from the first one on, whose finest feasible elements have a larger error than asked for."""
+    missed = [(number, error) for number, error in enumerate(errors, 1) if not error <= target_error]
+    if missed:
+        blocks = ", ".join(f"{number} ({error:.2g})" for number, error in missed[:_MOST_NAMED])
+        more = f" and {len(missed) - _MOST_NAMED} more" if len(missed) > _MOST_NAMED else ""
+        reached = f"`--target-error` {target_error:g} is not reached by the finest elements in blocks {blocks}{more}"
+        announce([f"{reached}; `error` of each block holds"])
 
 
 def _answer(orders: SupercellOrders) -> BlockAnswer:

@@ -71,6 +71,17 @@ def test_a_row_along_y_is_the_row_along_x_with_the_lights_exchanged(library_file
     assert 0.0 < along_x["error"] < 0.1
 
 
+def test_a_target_that_no_elements_reach_is_told(library_file: Path, tmp_path: Path) -> None:
+    options = "--library", library_file, "--solver", "rcwa", "--json"
+    small = {"width_nm": [[120.0, 150.0]], "length_nm": [[150.0, 150.0]]}
+    for target, told in (("1e-7", True), ("0.5", False)):
+        answer = metafab("fullwave", _asked(tmp_path, small), *options, "--target-error", target)
+        assert answer.code == 0, answer.stderr
+        (block,) = answer.json["blocks"]
+        warning = f"`--target-error` {float(target):g} is not reached by the finest elements in blocks 1 ({block['error']:.2g})"
+        assert (warning in answer.stderr) is told
+
+
 def test_a_library_without_a_model_says_how_to_make_one(library_file: Path, tmp_path: Path) -> None:
     asked = _asked(tmp_path, ROW)
     answer = metafab("fullwave", asked, "--library", library_file, "--solver", "model", "--json")

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.spec import Design, Light, load_design, terms
 from metafab.spec.device import Optics
 from metafab.steps.job import Job
-from metafab.steps.preflight import PREFLIGHT, PreflightFigures, too_steep
+from metafab.steps.preflight import PREFLIGHT, PreflightFigures, preflight, too_steep
 from tests.main_job import ROOT
 
 
@@ -97,3 +98,36 @@ def test_pixels_too_coarse_for_the_aperture_are_refused_before_any_work(tmp_path
     with pytest.raises(InputError, match=r"`sensor\.pixel_um`: expected below 0\.44"):
         PREFLIGHT.work(Job(coarse, tmp_path))
     assert isinstance(PREFLIGHT.work(Job(design, tmp_path)), PreflightFigures)
+
+
+@pytest.mark.parametrize(
+    ("table", "settings", "field", "got"),
+    [
+        ("rules", {"max_aspect_ratio": 1.0}, "rules.max_aspect_ratio", "1"),
+        ("mask", {"bias_nm": 300.0}, "rules.min_gap_nm", "100 nm, with `mask.bias_nm` 400 nm"),
+        ("mask", {"bias_nm": -300.0}, "rules.min_feature_nm", "100 nm, with `mask.bias_nm` 400 nm"),
+        ("mask", {"database_unit_nm": 3.5}, "mask.database_unit_nm", "3.5 nm"),
+    ],
+)
+def test_rules_that_no_pillar_keeps_are_told_in_the_values_of_the_design(
+    table: str, settings: dict[str, float], field: str, got: str
+) -> None:
+    design = load_design(ROOT / "layouts" / "helix_small.toml")
+    unfit = replace(design, **{table: replace(getattr(design, table), **settings)})
+    with pytest.raises(InputError) as refused:
+        preflight(unfit)
+    assert {(fault.field, fault.got) for fault in refused.value.faults} == {(field, got)}
+
+
+def test_the_field_of_round_pillars_cannot_be_inverted() -> None:
+    design = load_design(ROOT / "layouts" / "rgb_metalens.toml")
+    assert design.unit_cell.cell.shape == "circle"
+    with pytest.raises(InputError, match="got pillars of shape 'circle'"):
+        preflight(replace(design, mask=replace(design.mask, tone="inverted")))
+
+
+def test_a_stop_smaller_than_two_pillars_is_refused() -> None:
+    """0.18 millimetres, given in micrometres' place, would pass no light."""
+    design = load_design(ROOT / "layouts" / "helix_small.toml")
+    with pytest.raises(ValidationError, match=r"optics.stop_um.*got 0.18; is it in micrometres"):
+        replace(design, optics=Optics(stop_um=0.18))
