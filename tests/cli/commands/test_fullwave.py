@@ -78,7 +78,7 @@ def test_a_target_that_no_elements_reach_is_told(library_file: Path, tmp_path: P
         answer = metafab("fullwave", _asked(tmp_path, small), *options, "--target-error", target)
         assert answer.code == 0, answer.stderr
         (block,) = answer.json["blocks"]
-        warning = f"`--target-error` {float(target):g} is not reached by the finest elements in blocks 1 ({block['error']:.2g})"
+        warning = f"{float(target):g} is not reached by the finest elements in blocks 1 ({block['error']:.2g})"
         assert (warning in answer.stderr) is told
 
 
