@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metafab.cli.app import Copy, DesignOption, Json, LayoutFile, Output, Workers, app
+from metafab.cli.app import Copy, DesignOption, Json, LayoutFile, Workers, app
 from metafab.cli.console import announce, open_work, show
+from metafab.cli.outputs import NamedOutput, require_file_output, require_folder_output
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,7 +52,6 @@ def expose_command(
     DIR/corrected. With -o DIR/exposure.json in a run folder, the next report shows the size errors;
     with --correct, before and after the correction.
     """
-    from metafab.core.storage.files import require_file_output, require_folder_output
     from metafab.spec import load_design
     from metafab.steps.exposure import (
         copy_figures,
@@ -170,7 +170,7 @@ def process_fit_command(
         ),
     ] = None,
     copy: Copy = 1,
-    output: Output = None,
+    output: NamedOutput = Path("process.toml"),
     workers: Workers = None,
     json_: Json = False,
 ) -> None:
@@ -191,12 +191,11 @@ def process_fit_command(
     with open_work(workers) as (work, cost):
         chosen = [name for name in PARAMETERS if name in names]
         fitted = fitted_process(measured, layout, spec, chosen, copy, work)
-    path = output or Path("process.toml")
     read = [file for file in (measured, layout, design, spec.library) if file.is_file()]
-    for file in process_files(path, fitted):
+    for file in process_files(output, fitted):
         if file.is_file() and any(file.samefile(each) for each in read):
             raise InputError.single("--output", "output", "files of its own", f"{file}, which is read", "name another")
-    files = save_process(fitted, path)
+    files = save_process(fitted, output)
     announce(f"hardly counts: {size}" for size in fitted.fit.far)
     if fitted.fit.largest_correlation > 0.99:
         one, other = fitted.fit.correlated

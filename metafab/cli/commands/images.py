@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metafab.cli.app import Json, Output, app, require_finite, require_positive
+from metafab.cli.app import Json, app, require_finite, require_positive
 from metafab.cli.console import announce, open_work, show
+from metafab.cli.outputs import NamedHdf5Output, NamedOutput, Output, require_file_output, require_hdf5_name
 from metafab.core.errors import InputError
 from metafab.core.storage.tables import optional
 
@@ -85,7 +86,7 @@ def capture_command(
     """
     from metafab.camera import counts_of
     from metafab.camera.frames.foreign import counted_shape
-    from metafab.core.storage.files import HDF5_SUFFIXES, require_file_output, require_hdf5_name
+    from metafab.core.storage.files import HDF5_SUFFIXES
     from metafab.core.storage.provenance import named_files
     from metafab.spec import load_scene
     from metafab.steps.images import capture, capture_batch, frame_files
@@ -137,33 +138,31 @@ def capture_command(
 def film_command(
     scene: SceneFile,
     psf: PsfOption,
-    output: Output = None,
+    output: NamedOutput = Path("film.gif"),
     frames: Annotated[int | None, typer.Option(min=1, metavar="N", help="Frames [default: the scene's].")] = None,
     seed: Seed = None,
     json_: Json = False,
 ) -> None:
     """Simulate, decode and draw a film of a moving scene: .gif, or .mp4 with ffmpeg."""
     from metafab import report
-    from metafab.core.storage.files import require_file_output
     from metafab.core.storage.provenance import named_files
     from metafab.spec import load_scene
     from metafab.steps.images import FilmFigures, decoded_film
 
-    path = output or Path("film.gif")
-    report.require_film_name(path)
+    report.require_film_name(output)
     moving = load_scene(scene)
-    require_file_output(path, [scene, psf, *named_files(moving)])
+    require_file_output(output, named_files(moving))
     with open_work() as (work, cost):
         film = list(decoded_film(moving, psf, frames, scene_path=scene, seed=seed, progress=work.progress))
-        report.write_film(film, path, frame_interval_s=moving.frame_interval_s)
-    show(FilmFigures.of(film), json_, seconds=cost.seconds, file=path)
+        report.write_film(film, output, frame_interval_s=moving.frame_interval_s)
+    show(FilmFigures.of(film), json_, seconds=cost.seconds, file=output)
 
 
 @app.command("decode")
 def decode_command(
     raw: Annotated[Path, typer.Argument(metavar="RAW", help="Raw frame: .h5, .tif, .png or .npy.")],
     psf: PsfOption,
-    output: Output = None,
+    output: NamedHdf5Output = Path("decoded.h5"),
     black: Black = 0.0,
     electrons_per_count: Gain = 1.0,
     read_noise_e: ReadNoise = 0.0,
@@ -172,17 +171,14 @@ def decode_command(
     json_: Json = False,
 ) -> None:
     """Decode a raw frame to a 4D image: both intensities, contrast and depth."""
-    from metafab.core.storage.files import plain, require_file_output, require_hdf5_name
+    from metafab.core.storage.files import plain
     from metafab.steps.images import DecodeFigures, decode_file
 
-    path = output or Path("decoded.h5")
-    require_hdf5_name(path)
-    require_file_output(path, [raw, psf])
     with open_work() as (work, _):
         from metafab.decode import FAST
 
         counts = _counts(black, electrons_per_count, read_noise_e, white)
-        image = decode_file(raw, psf, path, counts=counts, numerics=FAST if fast else None, progress=work.progress)
+        image = decode_file(raw, psf, output, counts=counts, numerics=FAST if fast else None, progress=work.progress)
         figures = DecodeFigures.of(image)
     if figures.reason is not None:
         announce([f"{raw}: {figures.reason}; the image is empty"])
@@ -191,7 +187,7 @@ def decode_command(
     table = plain(figures)
     if figures.nmae is None:
         del table["nmae"]  # Without truth, the answer has no error.
-    show(table, json_, file=path)
+    show(table, json_, file=output)
 
 
 @app.command("calibrate")
@@ -201,7 +197,7 @@ def calibrate_command(
     ],
     psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="PSF pair predicted from the mask.")],
     depths: Annotated[Path, typer.Option("--depths", metavar="DEPTHS.csv", help="Lines `frame, depth in m`.")],
-    output: Output = None,
+    output: NamedHdf5Output = Path("calibrated.h5"),
     black: Black = 0.0,
     electrons_per_count: Gain = 1.0,
     read_noise_e: ReadNoise = 0.0,
@@ -210,13 +206,9 @@ def calibrate_command(
 ) -> None:
     """Calibrate a camera from photographs of a point source at known depths."""
     from metafab import decode
-    from metafab.core.storage.files import require_file_output, require_hdf5_name
     from metafab.steps.images import calibrate
 
-    path = output or Path("calibrated.h5")
-    require_hdf5_name(path)
-    require_file_output(path, [*frames, psf, depths])
     counts = _counts(black, electrons_per_count, read_noise_e, white)
-    fit = calibrate(frames, depths, psf, path, counts=counts)
+    fit = calibrate(frames, depths, psf, output, counts=counts)
     announce([f"not told apart: {decode.NOT_SEPARATED}"])
-    show(fit, json_, not_separated=decode.NOT_SEPARATED, frames=len(frames), file=path)
+    show(fit, json_, not_separated=decode.NOT_SEPARATED, frames=len(frames), file=output)

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from metafab.cli.again import pages
-from metafab.cli.app import Cluster, DesignFile, Json, OutputFolder, Workers, app, open_job
+from metafab.cli.app import Cluster, DesignFile, Json, Workers, app, open_job
 from metafab.cli.console import announce, coverage_warning, exit_on_violations, open_work, show
+from metafab.cli.outputs import OutputFolder
 
 if TYPE_CHECKING:
     from metafab.core.storage.rerun import Marks
@@ -39,7 +40,7 @@ def new_command(
     ] = None,
     substrate: Annotated[str | None, typer.Option(help="Substrate material [default: SiO2].")] = None,
     shape: Annotated[str | None, typer.Option(help="Pillar shape: rectangle, circle, ellipse, cross or ring.")] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the files.")] = Path(),
+    output: OutputFolder = None,
     json_: Json = False,
 ) -> None:
     """Write a commented design file to start from; without a kind, list the kinds.
@@ -56,13 +57,14 @@ def new_command(
         show(kinds(), json_)
         return
     files: list[Path] = []
+    folder = output or Path()
     lens = None if na is None and aperture_um is None else NewLens(0.2 if na is None else na, aperture_um or 100.0)
     if any(given is not None for given in (wavelength_nm, material, substrate, shape)):
         if wavelength_nm is None or material is None or library is not None:
             expected = "--wavelength-nm and --material together for a new unit cell, or --library for one of your own"
             got = "--library beside them" if library is not None else "one of them"
             raise InputError.single("new", "unit cell", expected, got)
-        library = output / f"{name}_cell.toml"
+        library = folder / f"{name}_cell.toml"
         if library.exists():
             raise InputError.single(str(library), "file", "a name that is free", "a file", "choose another name")
         cell = starting_cell(
@@ -71,15 +73,15 @@ def new_command(
             substrate=substrate or "SiO2",
             shape=shape or "rectangle",
             numerical_aperture=0.0 if lens is None else lens.numerical_aperture,
-            folder=output,
+            folder=folder,
         )
-        output.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(parents=True, exist_ok=True)
         with whole_file(library) as part:
             part.write_text(cell.text, encoding="utf-8")
         files = [library]
         announce(coverage_warning(cell.reach_rad))
     try:
-        written = write_new(name, kind, output, library, lens)
+        written = write_new(name, kind, folder, library, lens)
     except InputError:
         for path in files:
             path.unlink()

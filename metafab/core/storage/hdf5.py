@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from metafab import __version__
 from metafab.core.errors import InputError
-from metafab.core.storage.files import whole_file
+from metafab.core.storage.files import require_file, whole_file
 from metafab.core.storage.limits import beyond, limit
 
 
@@ -137,9 +137,7 @@ def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) 
     :func:`require_modest`.
     """
     path, expected = Path(path), f"a {kind} file (HDF5, format {format_version} or older)"
-    if not path.is_file():
-        got = "a folder" if path.is_dir() else "nothing at that path"
-        raise InputError.single(str(path), "file", expected, got, remedy)
+    require_file(path, expected, remedy)
     try:
         if _damaged(path):
             got = "a damaged file (its bytes are not those that were written)"
