@@ -35,7 +35,7 @@ from metafab.steps import RESULT_STEPS
 from metafab.steps.job import Job, Step, relative_to, with_targets
 from metafab.steps.orders import recorded_coupling
 from metafab.steps.preflight import PREFLIGHT
-from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, RunSummary, SkippedStep, error_budget, ledger
+from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, RunSummary, SkippedStep, error_budget, savings
 from metafab.steps.tolerance import recorded_tolerance
 
 STEPS_FILE = "steps.json"
@@ -309,7 +309,7 @@ class _State:
             modified_ns={name: time_ns for name, time_ns in sorted(log.modified_ns.items()) if name in written},
         )
         tolerance = recorded_tolerance(self.job) or summary.tolerance
-        saved = ledger(self.job.design, summary.library, summary.layout, summary.psf, summary.decode)
+        saved = savings(self.job.design, summary)
         return replace(summary, tolerance=tolerance, error_budget=error_budget(summary), saved=saved)
 
 

@@ -8,6 +8,7 @@ JSON object and nothing else. Progress bars go to stderr, and only on a terminal
 - ``failures``   failures from outside as one message
 - ``app``        the program, and the options shared by several commands
 - ``outputs``    places of results, checked before the work
+- ``headlines``  most important figures of a run
 - ``console``    bars, tables, JSON
 - ``commands``   the commands:
 
