@@ -13,6 +13,7 @@ from metafab.cli.app import Cluster, DesignFile, Json, Workers, app, open_job
 from metafab.cli.console import announce, coverage_warning, exit_on_violations, open_work, show
 from metafab.cli.headlines import headlines
 from metafab.cli.outputs import OutputFolder
+from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
     from metafab.core.storage.rerun import Marks
@@ -45,7 +46,6 @@ def new_command(
     With --wavelength-nm and --material, a unit cell NAME_cell.toml that fits them is written, too.
     """
     from metafab.cell.starting import starting_cell
-    from metafab.core.errors import InputError
     from metafab.core.storage.files import whole_file
     from metafab.spec import kinds, write_new
     from metafab.spec.new import NewLens
@@ -53,8 +53,7 @@ def new_command(
     if name is None or kind is None:
         show(kinds(), json_)
         return
-    files: list[Path] = []
-    folder = output or Path()
+    folder, files = output or Path(), list[Path]()
     lens = None if na is None and aperture_um is None else NewLens(0.2 if na is None else na, aperture_um or 100.0)
     if any(given is not None for given in (wavelength_nm, material, substrate, shape)):
         if wavelength_nm is None or material is None or library is not None:
@@ -72,7 +71,6 @@ def new_command(
             numerical_aperture=0.0 if lens is None else lens.numerical_aperture,
             folder=folder,
         )
-        folder.mkdir(parents=True, exist_ok=True)
         with whole_file(library) as part:
             part.write_text(cell.text, encoding="utf-8")
         files = [library]
@@ -192,7 +190,6 @@ def stokes_command(
 ) -> None:
     """Simulate full-Stokes imaging with a camera design: turned pillars, six images, Stokes vectors and depth."""
     from metafab import report
-    from metafab.core.errors import InputError
     from metafab.steps.stokes import full_stokes
 
     if angles % 4:
