@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -125,9 +126,17 @@ def expose_lenses(
         if correction == "dose":
             dosed, rounds = corrected(dosed, work.progress)
         elif correction == "shape":
-            pattern = (psf, outline, first.beside, ratio, executor)
-            drawn, rounds = corrected_shapes(first.pillars, *pattern, work.progress)
-            dosed = [replace(dosed[0], process=printing_of(drawn, first.pillars, *pattern))]
+            printing = partial(
+                printing_of,
+                wanted=first.pillars,
+                psf=psf,
+                outline=outline,
+                beside=first.beside,
+                base_over_clearing_dose=ratio,
+                executor=executor,
+            )
+            drawn, rounds = corrected_shapes(first.pillars, printing, work.progress)
+            dosed = [replace(dosed[0], process=printing(drawn))]
         keys = [(one.surroundings, lens.dose) for lens, one in zip(lenses, dosed, strict=True)]
         classes = _Classes.of(lenses, dosed, keys, numerics) if correction == "dose" and numerics.classes else None
         dosed = dosed if classes is None else classes.dosed
