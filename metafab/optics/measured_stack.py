@@ -199,26 +199,11 @@ def _checked(
     distance_mm: float | None,
 ) -> tuple[FloatArray, float, list[str]]:
     """Depths from the lens, their zero, and the assumptions on them."""
-    faults = []
-    if stack.ndim != 4 or stack.shape[0] not in {1, 2} or min(stack.shape[2:]) < _SMALLEST_PX:
-        expected = f"(1 or 2 channels, depths, rows, columns), {_SMALLEST_PX} pixels a side or more"
-        faults.append(Fault("stack", expected, f"shape {stack.shape}"))
-    elif depth_m.shape != stack.shape[1:2]:
-        faults.append(Fault("depths", f"one for each of {stack.shape[1]} pictures", f"shape {depth_m.shape}"))
-    if not np.isfinite(stack).all():
-        got = f"{int((~np.isfinite(stack)).sum())} values NaN or infinite"
-        faults.append(Fault("stack", "finite values", got, "repair dead pixels before the import"))
-    elif (peak := float(np.abs(stack).max(initial=0.0))) and not 1.0 / _MOST_PEAK <= peak <= _MOST_PEAK:
-        expected = f"values whose largest lies between {1.0 / _MOST_PEAK:g} and {_MOST_PEAK:g}"
-        faults.append(Fault("stack", expected, f"{peak:g}", "scale them"))
-    if depth_m.size < FEWEST_DEPTHS:
-        faults.append(Fault("depths", f"{FEWEST_DEPTHS} or more, as decoding needs", f"{depth_m.size}"))
-    elif not (np.isfinite(depth_m).all() and (np.diff(depth_m) > 0.0).all()):
-        remedy = "sort the pictures by depth, nearest first"
-        faults.append(Fault("depths", "finite, increasing depths in metres", _listed(depth_m), remedy))
-    elif depth_m[-1] > LARGEST:
-        faults.append(Fault("depths", f"depths in metres, at most {LARGEST:g}", _listed(depth_m)))
-    faults += _geometry_faults(pixel_um, split_um, distance_mm)
+    faults = [
+        *_stack_faults(stack, depth_m),
+        *_depth_faults(depth_m),
+        *_geometry_faults(pixel_um, split_um, distance_mm),
+    ]
     if faults:
         raise InputError("PSF stack", faults)
     made = []
@@ -233,6 +218,32 @@ def _checked(
         got = f"{zero:g} m, nearest depth {depth[0]:g} m"
         raise InputError.single("PSF stack", "zero_m", expected, got)
     return depth, zero, made
+
+
+def _stack_faults(stack: FloatArray, depth_m: FloatArray) -> Iterator[Fault]:
+    """Faults of shape and values."""
+    if stack.ndim != 4 or stack.shape[0] not in {1, 2} or min(stack.shape[2:]) < _SMALLEST_PX:
+        expected = f"(1 or 2 channels, depths, rows, columns), {_SMALLEST_PX} pixels a side or more"
+        yield Fault("stack", expected, f"shape {stack.shape}")
+    elif depth_m.shape != stack.shape[1:2]:
+        yield Fault("depths", f"one for each of {stack.shape[1]} pictures", f"shape {depth_m.shape}")
+    if not np.isfinite(stack).all():
+        got = f"{int((~np.isfinite(stack)).sum())} values NaN or infinite"
+        yield Fault("stack", "finite values", got, "repair dead pixels before the import")
+    elif (peak := float(np.abs(stack).max(initial=0.0))) and not 1.0 / _MOST_PEAK <= peak <= _MOST_PEAK:
+        expected = f"values whose largest lies between {1.0 / _MOST_PEAK:g} and {_MOST_PEAK:g}"
+        yield Fault("stack", expected, f"{peak:g}", "scale them")
+
+
+def _depth_faults(depth_m: FloatArray) -> Iterator[Fault]:
+    """Faults of depths relative to their zero."""
+    if depth_m.size < FEWEST_DEPTHS:
+        yield Fault("depths", f"{FEWEST_DEPTHS} or more, as decoding needs", f"{depth_m.size}")
+    elif not (np.isfinite(depth_m).all() and (np.diff(depth_m) > 0.0).all()):
+        remedy = "sort the pictures by depth, nearest first"
+        yield Fault("depths", "finite, increasing depths in metres", _listed(depth_m), remedy)
+    elif depth_m[-1] > LARGEST:
+        yield Fault("depths", f"depths in metres, at most {LARGEST:g}", _listed(depth_m))
 
 
 def _geometry_faults(

@@ -84,12 +84,7 @@ def capture_command(
 
     A frame is an .h5 with its truth, or counts in .tif, .png or .npy.
     """
-    from metafab.camera import counts_of
-    from metafab.camera.frames.foreign import counted_shape
     from metafab.core.storage.files import HDF5_SUFFIXES
-    from metafab.core.storage.provenance import named_files
-    from metafab.spec import load_scene
-    from metafab.steps.images import capture, capture_batch, frame_files
 
     path = output or Path("raw.h5" if draws is None else "batch.h5")
     in_counts = path.suffix.lower() not in HDF5_SUFFIXES
@@ -101,26 +96,51 @@ def capture_command(
         if frames > 1:
             expected, remedy = "a film (`--frames`) or a batch (`--draws`)", "leave one of them out"
             raise InputError.single("capture", "--draws", expected, "both", remedy)
-        with open_work() as (work, cost):
-            pairs = [(scene, load_scene(scene)) for scene in scenes]
-            require_file_output(path, [*scenes, psf, *named_files([scene for _, scene in pairs])])
-            batch = capture_batch(pairs, psf, path, draws, seed=seed, progress=work.progress)
-        show(CaptureAnswer(shape=batch.shape, photons=batch.photons, seconds=cost.seconds, file=path), json_)
+        show(_batch(scenes, psf, path, draws, seed), json_)
         return
     if len(scenes) > 1:
         raise InputError.single("capture", "SCENE", "one scene", f"{len(scenes)}", "add `--draws N` for a batch")
+    answer, counts = _frames(scenes[0], psf, path, frames, seed, black if in_counts else None)
+    # The options that `decode` needs to read files in counts.
+    show(answer, json_, **({} if counts is None else vars(counts)))
+
+
+def _batch(scenes: list[Path], psf: Path, path: Path, draws: int, seed: int | None) -> CaptureAnswer:
+    """Write a batch of frames of scenes."""
+    from metafab.core.storage.provenance import named_files
+    from metafab.spec import load_scene
+    from metafab.steps.images import capture_batch
+
+    with open_work() as (work, cost):
+        pairs = [(scene, load_scene(scene)) for scene in scenes]
+        require_file_output(path, [*scenes, psf, *named_files([scene for _, scene in pairs])])
+        batch = capture_batch(pairs, psf, path, draws, seed=seed, progress=work.progress)
+    return CaptureAnswer(shape=batch.shape, photons=batch.photons, seconds=cost.seconds, file=path)
+
+
+def _frames(
+    scene_path: Path, psf: Path, path: Path, frames: int, seed: int | None, black: int | None
+) -> tuple[CaptureAnswer, Counts | None]:
+    """Write the frames of a scene: in counts over a ``black`` level, with their meaning, or in electrons (None)."""
+    from metafab.camera import counts_of
+    from metafab.camera.frames.foreign import counted_shape
+    from metafab.core.storage.provenance import named_files
+    from metafab.spec import load_scene
+    from metafab.steps.images import capture, frame_files
+
     photons: list[float] = []
     files: list[Path] = []
     shape: tuple[int, ...] = ()
     counts: Counts | None = None
-    scene = load_scene(scenes[0])
+    scene = load_scene(scene_path)
     for file in frame_files(path, frames):
-        require_file_output(file, [*scenes, psf, *named_files(scene)])
+        require_file_output(file, [scene_path, psf, *named_files(scene)])
     with open_work() as (work, cost):
-        filmed = capture(scene, psf, path, frames, scene_path=scenes[0], seed=seed, black=black, progress=work.progress)
-        for frame, file in filmed:
-            counts = counts_of(frame, black=black) if in_counts else None
-            shape = counted_shape(frame) if in_counts else frame.frame.shape
+        for frame, file in capture(
+            scene, psf, path, frames, scene_path=scene_path, seed=seed, black=black or 0, progress=work.progress
+        ):
+            counts = None if black is None else counts_of(frame, black=black)
+            shape = frame.frame.shape if black is None else counted_shape(frame)
             photons.append(float(frame.frame.sum()))
             files.append(file)
     answer = CaptureAnswer(
@@ -130,8 +150,7 @@ def capture_command(
         file=files[0] if frames == 1 else None,
         files=None if frames == 1 else files,
     )
-    # The options that `decode` needs to read files in counts.
-    show(answer, json_, **({} if counts is None else vars(counts)))
+    return answer, counts
 
 
 @app.command("film")
