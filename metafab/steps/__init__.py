@@ -1,6 +1,7 @@
 """Steps of the pipeline, in their order: each reads and writes files of the run folder and returns its figures.
 
 - ``job``        Job and Step
+- ``records``    what steps left: states of files, figures, times
 - ``preflight``  checks of the design alone
 - ``library``    phase library: built or loaded
 - ``phase``      target phases and their study
