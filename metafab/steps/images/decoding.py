@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -68,17 +68,12 @@ class FilmFigures:
         from metafab.decode import object_errors
 
         frames = [DecodeFigures.of(image) for _, image in film]
+        names = {item.name for item in fields(cls)} & {item.name for item in fields(DecodeFigures)}
         return cls(
             frames=len(frames),
-            nmae=tuple(frame.nmae for frame in frames),
-            nmae_pixel=tuple(frame.nmae_pixel for frame in frames),
-            object_error=tuple(frame.object_error for frame in frames),
-            worst_object_error=tuple(frame.worst_object_error for frame in frames),
-            contrast_error=tuple(frame.contrast_error for frame in frames),
-            share_decoded=tuple(frame.share_decoded for frame in frames),
-            changed_share=tuple(frame.changed_share for frame in frames),
             objects=tuple(object_errors(image, raw) for raw, image in film),
             decode_seconds=tuple(frame.seconds for frame in frames),
+            **{name: tuple(getattr(frame, name) for frame in frames) for name in names},
         )
 
 
