@@ -2,20 +2,17 @@
 
 A step is up to date when the fingerprint of all that it depends on is unchanged and its files are as it left them. The
 fingerprint covers its part of the design, the files named there, the files of earlier steps, and the code of the rooms
-that it uses. ``steps.json`` in the run folder holds these records. Times stand in ``summary.json`` alone, so that
-one design gives the same bytes in every folder.
+that it uses.
 """
 
 from __future__ import annotations
 
-import json
 import platform
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from metafab import __version__
@@ -26,19 +23,18 @@ from metafab.core.parallel.executor import one_blas_thread
 from metafab.core.parallel.measure import Cost, measured
 from metafab.core.parallel.memory import give_back_freed_memory
 from metafab.core.parallel.work import Work
-from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, plain, whole_file, write_json
+from metafab.core.storage.files import clear_parts, file_sha256, fingerprint, whole_file, write_json
 from metafab.core.storage.lock import alone_in
 from metafab.core.storage.provenance import code_sha256, contents_sha256
-from metafab.core.storage.tables import DAMAGED, table_sha256, typed
 from metafab.spec import Design, canonical_toml
 from metafab.steps import RESULT_STEPS
 from metafab.steps.job import Job, Step, relative_to, with_targets
 from metafab.steps.orders import recorded_coupling
 from metafab.steps.preflight import PREFLIGHT
-from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, RunSummary, SkippedStep, error_budget, ledger
+from metafab.steps.records import STEPS_FILE, FileMark, Log, Record, read_log, read_records
+from metafab.steps.summary import SUMMARY_FILE, UNCHANGED, RunSummary, SkippedStep, error_budget, savings
 from metafab.steps.tolerance import recorded_tolerance
 
-STEPS_FILE = "steps.json"
 #: Size of a step's files, in bytes, from which a copy of this process hashes them: a fork takes as long as 30 MB do.
 _HASHED_BESIDE = 1 << 26
 _LIBRARIES = ("numpy", "scipy", "gdstk", "h5py", "shapely", "matplotlib", "pydantic", "numba", "klayout")
@@ -73,45 +69,6 @@ REPORT = Step(
 STEPS = (*RESULT_STEPS, REPORT)
 
 
-@dataclass(frozen=True)
-class FileMark:
-    """State of a file when its step had written it."""
-
-    bytes: int  #: Size.
-    sha256: str  #: Hash of the content.
-
-    @classmethod
-    def of(cls, path: Path) -> FileMark:
-        """State of a file now."""
-        return cls(path.stat().st_size, file_sha256(path))
-
-    def holds(self, path: Path, modified_ns: int | None = None) -> bool:
-        """Whether the file is unchanged: equal size, and equal content or the known time of its last change."""
-        if not path.is_file() or path.stat().st_size != self.bytes:
-            return False
-        return path.stat().st_mtime_ns == modified_ns or file_sha256(path) == self.sha256
-
-
-@dataclass(frozen=True)
-class Record:
-    """One step's entry in ``steps.json``."""
-
-    inputs_sha256: str  #: Fingerprint of all that the step depends on.
-    outputs: dict[str, FileMark]  #: State of each file, by its path relative to the run folder.
-    summary: Any  #: Figures of the step; None where they are damaged, or an older version wrote them in another form.
-    #: Hash of the figures, so that a changed digit is noticed; empty in records of older versions.
-    summary_sha256: str = ""
-
-    @classmethod
-    def of(cls, inputs_sha256: str, outputs: dict[str, FileMark], figures: Any) -> Record:
-        """Entry of a step with these figures."""
-        return cls(inputs_sha256, outputs, figures, table_sha256(plain(figures)))
-
-    def files_unchanged(self, folder: Path, modified_ns: Mapping[str, int] = MappingProxyType({})) -> bool:
-        """Whether every file is as the step left it; ``modified_ns`` are times of its last change, by name."""
-        return all(mark.holds(folder / name, modified_ns.get(name)) for name, mark in self.outputs.items())
-
-
 def run(
     design: Design,
     folder: Path,
@@ -136,7 +93,7 @@ def run(
 def _run(job: Job, steps: Sequence[Step], check: Step, say: Callable[[Sequence[str]], None]) -> RunSummary:
     design, folder = job.design, job.folder
     names = tuple(step.name for step in (check, *steps))
-    state = _State(job, names, _read_records(folder, (check, *steps)), _read_log(folder))
+    state = _State(job, names, read_records(folder, (check, *steps)), read_log(folder))
     if not state.is_current(check):
         figures, _ = _cost_of(check, job)
         say(figures.announcements)
@@ -164,15 +121,6 @@ def _run(job: Job, steps: Sequence[Step], check: Step, say: Callable[[Sequence[s
         return summary
 
 
-@dataclass(frozen=True)
-class _Log:
-    """Times and memory of steps and files, by name, which no other file than ``summary.json`` holds."""
-
-    seconds: dict[str, float] = field(default_factory=dict)
-    peak_rss_mb: dict[str, float] = field(default_factory=dict)
-    modified_ns: dict[str, int] = field(default_factory=dict)
-
-
 @dataclass
 class _State:
     """Records and times of earlier runs, and the progress of this one."""
@@ -180,7 +128,7 @@ class _State:
     job: Job
     names: tuple[str, ...]  #: All steps, in their order.
     records: dict[str, Record]
-    log: _Log
+    log: Log
     used: dict[str, Record] = field(default_factory=dict)
     skipped: list[SkippedStep] = field(default_factory=list)
     #: Steps that copies of this process run, in their order.
@@ -309,7 +257,7 @@ class _State:
             modified_ns={name: time_ns for name, time_ns in sorted(log.modified_ns.items()) if name in written},
         )
         tolerance = recorded_tolerance(self.job) or summary.tolerance
-        saved = ledger(self.job.design, summary.library, summary.layout, summary.psf, summary.decode)
+        saved = savings(self.job.design, summary)
         return replace(summary, tolerance=tolerance, error_budget=error_budget(summary), saved=saved)
 
 
@@ -343,38 +291,3 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return installed
-
-
-def _read_records(folder: Path, steps: Sequence[Step]) -> dict[str, Record]:
-    """Read the records of earlier runs; a record that is missing or damaged is left out."""
-    try:
-        tables = json.loads((folder / STEPS_FILE).read_text(encoding="utf-8"))
-    except (OSError, *DAMAGED):
-        return {}
-    records = {}
-    for step in steps:
-        try:
-            record = typed(Record, tables[step.name])
-            is_whole = table_sha256(record.summary) == record.summary_sha256
-        except DAMAGED:
-            continue
-        figures = _figures(step, record.summary) if is_whole else None
-        # Hashed anew: by their types, 5 may have been read as 5.0.
-        records[step.name] = Record.of(record.inputs_sha256, record.outputs, figures)
-    return records
-
-
-def _read_log(folder: Path) -> _Log:
-    """Times of earlier runs; none where the summary is missing or damaged."""
-    try:
-        return typed(_Log, json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")))
-    except (OSError, *DAMAGED):
-        return _Log()
-
-
-def _figures(step: Step, table: Any) -> Any:
-    """Figures of a step, None if the table has another form."""
-    try:
-        return typed(step.figures, table)
-    except DAMAGED:
-        return None

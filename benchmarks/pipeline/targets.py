@@ -35,7 +35,7 @@ from metafab.optics import Psf
 from metafab.optics.depth_target import NUMERICAL_SHARE, field_points, with_depth_target
 from metafab.spec import Design, load_design
 from metafab.steps import Job, calibration, write_layout
-from metafab.steps.optics import scene_pair
+from metafab.steps.optics import WrittenLens, scene_pair
 
 SMALL = Path(__file__).parents[2] / "layouts" / "helix_small.toml"
 TARGETS, QUICK = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2), (1e-3, 1e-2)
@@ -135,7 +135,7 @@ def _library(design: Design, error: float, folder: Path) -> tuple[Path, Cost]:
 def _calibrated(design: Design, library: Path, mask: Path) -> tuple[Psf, Cost]:
     """PSFs of the mask for the decoder, and their cost."""
     with measured() as cost:
-        pair = calibration(Job(replace(design, library=library), mask.parent, Work(workers=1)), mask)
+        pair = calibration(Job(replace(design, library=library), mask.parent, Work(workers=1)), WrittenLens(mask))
     return pair, cost
 
 
@@ -143,7 +143,7 @@ def _bench(design: Design, library: Path, mask: Path, finest: Psf) -> Bench:
     """Photograph the scene of the design through the mask."""
     scene = design.scene
     assert scene is not None  # the small lens has one
-    exact = scene_pair(Job(replace(design, library=library), mask.parent, Work(workers=1)), mask, scene)
+    exact = scene_pair(Job(replace(design, library=library), mask.parent, Work(workers=1)), WrittenLens(mask), scene)
     bright = replace(scene, photons_per_pixel=_BRIGHT * scene.photons_per_pixel)
     frames, calm = (tuple(camera.draws(each, exact, _SEEDS)) for each in (scene, bright))
     return Bench(design, mask, frames, calm, object_errors(finest, calm))

@@ -7,6 +7,8 @@ JSON object and nothing else. Progress bars go to stderr, and only on a terminal
 - ``entry``      entry point: errors and interrupts become a message and an exit code
 - ``failures``   failures from outside as one message
 - ``app``        the program, and the options shared by several commands
+- ``outputs``    places of results, checked before the work
+- ``headlines``  most important figures of a run
 - ``console``    bars, tables, JSON
 - ``commands``   the commands:
 

@@ -14,6 +14,7 @@ from typer.models import CommandFunctionType
 
 from metafab.cli.examples import epilog
 from metafab.cli.failures import DEBUG_VARIABLE
+from metafab.cli.outputs import CHECKS
 from metafab.core.errors import InputError, noted
 from metafab.core.storage.limits import limited
 
@@ -49,13 +50,8 @@ class _Command(TyperCommand):
         given = [value for name, value in ctx.params.items() if name != "output"]
         lists = [value if isinstance(value, list | tuple) else [value] for value in given]
         read = [value for values in lists for value in values if isinstance(value, Path)]
-        source = ctx.get_parameter_source("output")
-        if isinstance(output, Path) and source.name == "COMMANDLINE":
-            from metafab.core.storage import files
-
-            kind = next((each.metavar for each in self.params if each.name == "output"), None) or ""
-            checks = {"FILE": files.require_file_output, "DIR": files.require_folder_output}
-            checks.get(kind, files.require_output)(output, read)
+        if isinstance(output, Path):
+            CHECKS[next(each.metavar or "" for each in self.params if each.name == "output")](output, read)
         with noted(f"`{' '.join([_called(ctx), *map(str, read)])}`"):
             return super().invoke(ctx)
 
@@ -155,9 +151,6 @@ DesignOption = Annotated[Path, typer.Option("--design", metavar="DESIGN.toml", h
 UnitCellFile = Annotated[Path, typer.Argument(metavar="UNITCELL.toml", help="Unit-cell file.")]
 LayoutFile = Annotated[Path, typer.Argument(metavar="LAYOUT", help="Written mask, .gds or .oas.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
-#: The metavar of ``--output`` decides what may stand there: a file (FILE), a folder (DIR), or either (PATH).
-Output = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="File of the result.")]
-OutputFolder = Annotated[Path | None, typer.Option("-o", "--output", metavar="DIR", help="Folder of the files.")]
 Workers = Annotated[
     int | None,
     typer.Option("--workers", min=1, max=4096, metavar="N", help="Processes [default: the cores]."),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -115,9 +116,7 @@ def expose_lenses(
     if correction == "shape" and len(lenses) > 1:
         expected, remedy = "one lens, whose shapes are corrected", 'correct each alone, or use "dose"'
         raise InputError.single("exposure", "lenses", expected, f"{len(lenses)}", remedy)
-    drawn, rounds, class_dose = first.pillars, 0, np.ones(1)
-    of_site: Sequence[NDArray[np.uint8] | None] = [None] * len(lenses)
-    continuous: dict[Hashable, SizeSums] = {}
+    drawn, rounds = first.pillars, 0
     with work.threads() as executor:
         resist = _resist_of(first.pillars, psf, outline)
         tables, dose = EdgeTables.of(psf, resist.shapes), np.ones(resist.size_index.shape, dtype=np.float32)
@@ -126,36 +125,76 @@ def expose_lenses(
         dosed = [LensDoses(process.among(lens.beside), lens.number, dose) for lens in lenses]
         if correction == "dose":
             dosed, rounds = corrected(dosed, work.progress)
-            if numerics.classes:
-                for lens, one in zip(lenses, dosed, strict=True):
-                    if (key := (one.surroundings, lens.dose)) not in continuous:
-                        at_dose = one.at(lens.dose, dosed)
-                        continuous[key] = predict(at_dose.process, at_dose.dose, NO_PLACES).sums
-                of_site, class_dose = quantised(dosed, _class_count(numerics, dosed, list(continuous.values())))
-                distinct = {id(of): of for of in of_site}  # lenses that share their classes share one array of doses
-                rounded = {key: class_dose.astype(np.float32)[of] for key, of in distinct.items()}
-                dosed = [replace(one, dose=rounded[id(of)]) for one, of in zip(dosed, of_site, strict=True)]
         elif correction == "shape":
-            pattern = (psf, outline, first.beside, ratio, executor)
-            drawn, rounds = corrected_shapes(first.pillars, *pattern, work.progress)
-            dosed = [replace(dosed[0], process=printing_of(drawn, first.pillars, *pattern))]
+            printing = partial(
+                printing_of,
+                wanted=first.pillars,
+                psf=psf,
+                outline=outline,
+                beside=first.beside,
+                base_over_clearing_dose=ratio,
+                executor=executor,
+            )
+            drawn, rounds = corrected_shapes(first.pillars, printing, work.progress)
+            dosed = [replace(dosed[0], process=printing(drawn))]
+        keys = [(one.surroundings, lens.dose) for lens, one in zip(lenses, dosed, strict=True)]
+        classes = _Classes.of(lenses, dosed, keys, numerics) if correction == "dose" and numerics.classes else None
+        dosed = dosed if classes is None else classes.dosed
         found: dict[Hashable, Exposure] = {}
         error: float | None = None
-        for number, (lens, one) in enumerate(zip(lenses, dosed, strict=True)):
-            if (key := (one.surroundings, lens.dose)) in found:
+        for number, (lens, one, key) in enumerate(zip(lenses, dosed, keys, strict=True)):
+            if key in found:
                 continue
             own = numerics if number == 0 else replace(numerics, samples=0, keep_sizes=False)
             result = _predicted(one.at(lens.dose, dosed), drawn, contrast, own, error)
             error = result.figures.error
-            figures = replace(result.figures, classes=len(class_dose), rounds=rounds)
-            if continuous:
-                sums = continuous[key]
-                figures = replace(figures, continuous_rms_nm=sums.rms_nm, continuous_max_nm=sums.largest_nm)
-            found[key] = replace(result, figures=figures, dose_class=of_site[number], class_dose=class_dose)
+            result = replace(result, figures=replace(result.figures, rounds=rounds))
+            found[key] = result if classes is None else classes.stated(result, number, key)
     if correction != "none":
         best = min((one.figures for one in found.values()), key=lambda figures: figures.unprinted)
         best.require_printed("exposure", "base_over_clearing_dose")
-    return tuple(found[one.surroundings, lens.dose] for lens, one in zip(lenses, dosed, strict=True))
+    return tuple(found[key] for key in keys)
+
+
+@dataclass(frozen=True, eq=False)
+class _Classes:
+    """Corrected doses rounded to classes."""
+
+    dosed: list[LensDoses]  #: Lenses with the rounded doses.
+    of_site: Sequence[NDArray[np.uint8]]  #: Class of each site, by lens, shape (n_y, n_x).
+    dose: FloatArray  #: Shape (n,), dose of each class.
+    before: dict[Hashable, SizeSums]  #: Printed sizes with continuous doses, by surroundings and dose of the lens.
+
+    @classmethod
+    def of(
+        cls,
+        lenses: Sequence[ExposedLens],
+        dosed: list[LensDoses],
+        keys: Sequence[Hashable],
+        numerics: ExposureNumerics,
+    ) -> _Classes:
+        """Round the doses of lenses; lenses of one key print alike."""
+        before: dict[Hashable, SizeSums] = {}
+        for lens, one, key in zip(lenses, dosed, keys, strict=True):
+            if key not in before:
+                at_dose = one.at(lens.dose, dosed)
+                before[key] = predict(at_dose.process, at_dose.dose, NO_PLACES).sums
+        of_site, class_dose = quantised(dosed, _class_count(numerics, dosed, list(before.values())))
+        distinct = {id(of): of for of in of_site}  # lenses that share their classes share one array of doses
+        rounded = {key: class_dose.astype(np.float32)[of] for key, of in distinct.items()}
+        in_classes = [replace(one, dose=rounded[id(of)]) for one, of in zip(dosed, of_site, strict=True)]
+        return cls(in_classes, of_site, class_dose, before)
+
+    def stated(self, result: Exposure, number: int, key: Hashable) -> Exposure:
+        """Return the exposure of a lens with its classes, and its size errors with continuous doses."""
+        sums = self.before[key]
+        figures = replace(
+            result.figures,
+            classes=len(self.dose),
+            continuous_rms_nm=sums.rms_nm,
+            continuous_max_nm=sums.largest_nm,
+        )
+        return replace(result, figures=figures, dose_class=self.of_site[number], class_dose=self.dose)
 
 
 def _predicted(

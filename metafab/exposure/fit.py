@@ -128,17 +128,9 @@ def fit_process(
     forward, back, eta = beam_psf(replace(start, blur_nm=0.0)).scattered()
     chosen = np.array([name in free for name in PARAMETERS])
     count = 2 * sum(len(lens.dose) for lens in lenses)
-    if not chosen.any() or count <= chosen.sum():
-        expected = f"more sizes than the {int(chosen.sum())} fitted parameters, of which at least one"
-        raise InputError.single("process fit", "sizes", expected, f"{count}", "measure more pillars")
-    if start.base_over_clearing_dose is None and "threshold" not in free:
-        expected, remedy = "a dose, where `threshold` is not fitted", "state it, or fit `threshold` too"
-        raise InputError.single("process.exposure", "base_over_clearing_dose", expected, "none", remedy)
-    focuses = {lens.focus_um for lens in lenses}
     known_beam = start.convergence_mrad is not None or "convergence" in free
-    if not known_beam and (focuses != {start.best_focus_um} or "focus" in free):
-        expected, remedy = "a half angle, for lenses out of focus", "state it, or fit `convergence` too"
-        raise InputError.single("process.exposure", "convergence_mrad", expected, "none", remedy)
+    focuses = {lens.focus_um for lens in lenses}
+    _require_known(start, free, count, focuses, known_beam=known_beam)
     convergence = start.convergence_mrad or (_CONVERGENCE_MRAD if known_beam else 0.0)
     values = [0.0, eta, start.blur_nm, etch.bias_nm, etch.microloading_nm, convergence, start.best_focus_um]
     model = SizeModel(lenses, forward, back, np.array(values), chosen, etch, work)
@@ -187,6 +179,22 @@ def fit_process(
         correlated=correlated,
         bias_map=_bias_map(lenses, whole[3] - found.fun.reshape(-1, 2), is_near),
     )
+
+
+def _require_known(
+    start: ExposureProcess, free: Sequence[Parameter], count: int, focuses: set[float], *, known_beam: bool
+) -> None:
+    """Refuse too few sizes, and a dose or convergence that is neither stated nor fitted."""
+    fitted = len({*free} & {*PARAMETERS})
+    if not fitted or count <= fitted:
+        expected = f"more sizes than the {fitted} fitted parameters, of which at least one"
+        raise InputError.single("process fit", "sizes", expected, f"{count}", "measure more pillars")
+    if start.base_over_clearing_dose is None and "threshold" not in free:
+        expected, remedy = "a dose, where `threshold` is not fitted", "state it, or fit `threshold` too"
+        raise InputError.single("process.exposure", "base_over_clearing_dose", expected, "none", remedy)
+    if not known_beam and (focuses != {start.best_focus_um} or "focus" in free):
+        expected, remedy = "a half angle, for lenses out of focus", "state it, or fit `convergence` too"
+        raise InputError.single("process.exposure", "convergence_mrad", expected, "none", remedy)
 
 
 def _robust(

@@ -6,6 +6,7 @@ database units. Sizes end within half a step of the grid.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Executor
 
 import numpy as np
@@ -54,22 +55,16 @@ def printing_of(
 
 
 def corrected_shapes(
-    wanted: PillarMap,
-    psf: BeamPsf,
-    outline: Outline,
-    beside: Beside | None,
-    base_over_clearing_dose: float,
-    executor: Executor,
-    progress: Progress,
+    wanted: PillarMap, printing: Callable[[PillarMap], Printing], progress: Progress
 ) -> tuple[PillarMap, int]:
     """Find the sizes to draw for the pillars that should be printed; return the pillars and the number of rounds.
 
-    ``base_over_clearing_dose`` is the base dose over the clearing dose of a large pad.
+    ``printing`` gives the process of drawn pillars (:func:`printing_of`).
     """
     dose = np.ones(wanted.lattice.shape, dtype=np.float32)
     drawn = wanted
     for number in range(1, _MOST_ROUNDS + 1):
-        process = printing_of(drawn, wanted, psf, outline, beside, base_over_clearing_dose, executor)
+        process = printing(drawn)
         found = predict(process, dose, NO_PLACES, keep_sizes=True).printed_less_drawn_nm
         assert process.wanted_less_drawn_nm is not None
         assert found is not None

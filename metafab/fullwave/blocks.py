@@ -12,7 +12,7 @@ import dataclasses
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from pathlib import Path
@@ -119,31 +119,37 @@ def read_blocks(
     except (OSError, ValueError, RecursionError) as error:
         got = f"an unreadable file ({error})"
         raise InputError.single(str(path), "file", 'a JSON file {"blocks": [...]}', got, "correct it") from error
-    cell, faults, supercells = site_cell(library), [], []
-    for number, block in enumerate(validate(Blocks, table, str(path)).blocks):
-        size_nm = block.size_nm
-        for axis, name in enumerate(("width_nm", "length_nm")):
-            largest, period = float(size_nm[..., axis].max()), cell.period_nm[axis]
-            smallest = float(size_nm[..., axis].min(where=size_nm[..., axis] > 0.0, initial=math.inf))
-            if smallest < (least := _LEAST_SIZE * cell.wavelength_nm):
-                expected = f"0, or at least {least:g} nm, a thousandth of the wavelength"
-                remedy = "is it in nanometres?"
-                faults.append(Fault(f"blocks[{number}].{name}", expected, f"{smallest:g} nm", remedy))
-            elif largest > period:
-                expected, remedy = f"at most the period of {period:g} nm", "make the pillar smaller"
-                faults.append(Fault(f"blocks[{number}].{name}", expected, f"{largest:g} nm", remedy))
-            elif solver in {"model", "lone"}:
-                faults += _beyond_sweep(library, f"blocks[{number}].{name}", size_nm[..., axis], axis, solver)
-        if np.any((size_nm[..., 0] == 0.0) != (size_nm[..., 1] == 0.0)):
-            faults.append(Fault(f"blocks[{number}]", "width and length both 0, or both above", "one of them 0"))
-        if library.unit_cell.cell.is_round and np.any(size_nm[..., 0] != size_nm[..., 1]):
-            faults.append(Fault(f"blocks[{number}]", "`length_nm` equal to `width_nm` for circles", "other lengths"))
-        if not faults:
-            supercells.append(Supercell(cell, size_nm))
-    faults = faults or [each for k, one in enumerate(supercells) for each in _untreated(one, k, solver, numerics)]
+    cell, faults = site_cell(library), list[Fault]()
+    blocks = validate(Blocks, table, str(path)).blocks
+    for number, block in enumerate(blocks):
+        faults += _size_faults(library, f"blocks[{number}]", block.size_nm, solver)
+    if not faults:
+        supercells = [Supercell(cell, block.size_nm) for block in blocks]
+        faults += [each for k, one in enumerate(supercells) for each in _untreated(one, k, solver, numerics)]
     if faults:
         raise InputError(str(path), faults)
     return supercells
+
+
+def _size_faults(library: Library, block: str, size_nm: FloatArray, solver: Solver) -> Iterator[Fault]:
+    """Faults of the sizes of a block, shape (n_y, n_x, 2): width and length, both 0 for an empty site."""
+    cell = library.unit_cell.cell
+    least = _LEAST_SIZE * library.unit_cell.illumination.wavelength_nm
+    for axis, name in enumerate(("width_nm", "length_nm")):
+        largest, period = float(size_nm[..., axis].max()), cell.period_nm[axis]
+        smallest = float(size_nm[..., axis].min(where=size_nm[..., axis] > 0.0, initial=math.inf))
+        if smallest < least:
+            expected = f"0, or at least {least:g} nm, a thousandth of the wavelength"
+            yield Fault(f"{block}.{name}", expected, f"{smallest:g} nm", "is it in nanometres?")
+        elif largest > period:
+            expected, remedy = f"at most the period of {period:g} nm", "make the pillar smaller"
+            yield Fault(f"{block}.{name}", expected, f"{largest:g} nm", remedy)
+        elif solver in {"model", "lone"}:
+            yield from _beyond_sweep(library, f"{block}.{name}", size_nm[..., axis], axis, solver)
+    if np.any((size_nm[..., 0] == 0.0) != (size_nm[..., 1] == 0.0)):
+        yield Fault(block, "width and length both 0, or both above", "one of them 0")
+    if cell.is_round and np.any(size_nm[..., 0] != size_nm[..., 1]):
+        yield Fault(block, "`length_nm` equal to `width_nm` for circles", "other lengths")
 
 
 def _untreated(supercell: Supercell, number: int, solver: Solver, numerics: BlockNumerics) -> Sequence[Fault]:

@@ -16,7 +16,7 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
-from metafab.core.storage.files import Latest, file_mark
+from metafab.core.storage.files import Latest, file_mark, require_file
 from metafab.core.storage.limits import beyond, limit, limited
 from metafab.layout import Outline, PillarMap, lattice_of, tile_sites
 from metafab.mask.budget import Budget
@@ -320,9 +320,7 @@ def _chunks(hierarchy: Hierarchy, reader: GdsiiReader | OasisReader) -> Iterator
 def format_of(path: Path) -> Format:
     """Return the format of a file, by its first bytes; InputError if it is missing, or neither GDSII nor OASIS."""
     expected, remedy = "a GDSII or OASIS file", "write it with `metafab layout DESIGN.toml`"
-    if not path.is_file():
-        got = "a folder" if path.is_dir() else "nothing at that path"
-        raise InputError.single(str(path), "file", expected, got, remedy)
+    require_file(path, expected, remedy)
     try:
         with path.open("rb") as stream:
             beginning = stream.read(len(MAGIC))

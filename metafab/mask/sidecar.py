@@ -25,7 +25,7 @@ from metafab.mask.drawing.scan import count_sizes
 from metafab.mask.drawing.stamps import Stamps
 from metafab.mask.drawing.surroundings import surroundings
 from metafab.mask.writing import FieldTimes, LensLoad, beam_seconds, field_times, fracture, write_time
-from metafab.spec import Design
+from metafab.spec import Design, Exposure
 
 _TONES = {
     "negative": "what is drawn is exposed and stays (negative resist): pillars",
@@ -41,7 +41,7 @@ class CopyFigures:
     at_um: tuple[float, float]  #: (x, y) of its optical axis.
     bias_nm: float  #: Its own bias.
     dose: float  #: Relative to the base dose.
-    focus_um: float  #: Focus of the beam.
+    focus_um: float  #: Focus of the exposure.
     datatypes: tuple[int, int]  #: First and last datatype of its pillars.
     label: str | None  #: Text above it.
     area_um2: float  #: Drawn area of its pillars.
@@ -160,42 +160,50 @@ class MaskSums:
 
     def _write_time(self, stamps: Stamps, areas_um2: Sequence[float]) -> tuple[WriteTime, FieldTimes | None]:
         """Write time of all lenses with the areas ``areas_um2`` of their pillars, and their fields in order."""
-        mask, lattice, copies = self._design.mask, self._map.lattice, lens_copies(self._design)
-        assert mask.exposure is not None
+        mask, copies = self._design.mask, lens_copies(self._design)
         doses = [mask.doses[copy.variant.dose_number] for copy in copies]
         shapes = stamps.exposed(self._used, self.filled)
-        if mask.tone != "negative" or self._fracture is None:
-            sites_um2 = (
-                math.prod(lattice.shape) * math.prod(lattice.period_dbu) * (lattice.database_unit_nm * 1e-3) ** 2
-            )
-            # The field reaches to the corners of the square, where no pillar stands.
-            each = np.full(len(copies), shapes // len(copies))
-            each[: shapes % len(copies)] += 1
-            pitch_nm = mask.exposure.shot_pitch_nm
-            loads = []
-            for dose, area_um2, count in zip(doses, areas_um2, each.tolist(), strict=True):
-                exposed_um2 = sites_um2 - area_um2
-                shots = None if pitch_nm is None else math.ceil(exposed_um2 * 1e6 / pitch_nm**2)
-                loads.append(LensLoad(dose, exposed_um2, count, shots))
-            return write_time(mask.exposure, loads, shapes, len(copies) * self._pillars_in.size), None
+        assert mask.exposure is not None
+        if mask.tone == "negative" and self._fracture is not None:
+            return self._time_of_pillars(mask.exposure, shapes, list(zip(copies, doses, areas_um2, strict=True)))
+        loads = self._loads_of_field(mask.exposure, shapes, list(zip(doses, areas_um2, strict=True)))
+        return write_time(mask.exposure, loads, shapes, len(copies) * self._pillars_in.size), None
+
+    def _loads_of_field(self, exposure: Exposure, shapes: int, lenses: Sequence[tuple[float, float]]) -> list[LensLoad]:
+        """Loads where all but the pillars is exposed, of lenses by dose and area of their pillars (um^2)."""
+        lattice = self._map.lattice
+        sites_um2 = math.prod(lattice.shape) * math.prod(lattice.period_dbu) * (lattice.database_unit_nm * 1e-3) ** 2
+        # The field reaches to the corners of the square, where no pillar stands.
+        each = np.full(len(lenses), shapes // len(lenses))
+        each[: shapes % len(lenses)] += 1
+        loads = []
+        for (dose, area_um2), count in zip(lenses, each.tolist(), strict=True):
+            exposed_um2 = sites_um2 - area_um2
+            shots = None if exposure.shot_pitch_nm is None else math.ceil(exposed_um2 * 1e6 / exposure.shot_pitch_nm**2)
+            loads.append(LensLoad(dose, exposed_um2, count, shots))
+        return loads
+
+    def _time_of_pillars(
+        self, exposure: Exposure, shapes: int, lenses: Sequence[tuple[LensCopy, float, float]]
+    ) -> tuple[WriteTime, FieldTimes]:
+        """Write time where pillars are exposed, of lenses with their dose and the area of their pillars (um^2)."""
         trapezoids, shots = (int(total) for total in self._load_in.sum(axis=(1, 2)))
-        plain_um2, counted = self._area_dbu(0) * (lattice.database_unit_nm * 1e-3) ** 2, shots > 0
+        plain_um2, counted = self._area_dbu(0) * (self._map.lattice.database_unit_nm * 1e-3) ** 2, shots > 0
         loads, times = [], []
         field_share = self._twice_area_in_dbu / max(1, int(self._twice_area_in_dbu.sum()))
-        for dose, area_um2 in zip(doses, areas_um2, strict=True):
+        for _, dose, area_um2 in lenses:
             # A bias changes the shots of a Gaussian beam in proportion to the area.
             grown = area_um2 / plain_um2 if plain_um2 else 0.0
-            scale = grown if mask.exposure.shot_pitch_nm is not None else 1.0
+            scale = grown if exposure.shot_pitch_nm is not None else 1.0
             loads.append(LensLoad(dose, area_um2, trapezoids, round(shots * scale) if counted else None))
-            settling_s = self._load_in[0] * mask.exposure.settle_shape_us * 1e-6
-            settling_s = settling_s + (self._pillars_in > 0) * mask.exposure.settle_field_ms * 1e-3
-            beam_s = beam_seconds(mask.exposure, dose, field_share * area_um2, self._load_in[1] * scale)
+            settling_s = self._load_in[0] * exposure.settle_shape_us * 1e-6
+            settling_s = settling_s + (self._pillars_in > 0) * exposure.settle_field_ms * 1e-3
+            beam_s = beam_seconds(exposure, dose, field_share * area_um2, self._load_in[1] * scale)
             times.append(np.asarray(beam_s + settling_s, dtype=np.float64))
-        centres = [self._field_centres_um(copy) for copy in copies]
-        fields = field_times(mask.exposure, times, centres)
-        stitching = fields.stitching_nm if mask.exposure.drift_nm_per_min else None
-        filled = len(copies) * int(np.count_nonzero(self._pillars_in))
-        return write_time(mask.exposure, loads, shapes, filled, stitching), fields
+        fields = field_times(exposure, times, [self._field_centres_um(copy) for copy, _, _ in lenses])
+        stitching = fields.stitching_nm if exposure.drift_nm_per_min else None
+        filled = len(lenses) * int(np.count_nonzero(self._pillars_in))
+        return write_time(exposure, loads, shapes, filled, stitching), fields
 
     def _field_centres_um(self, copy: LensCopy) -> FloatArray:
         """Centre (x, y) of each write field of a lens, shape (rows, columns, 2); fields at the rim are cut off."""

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from metafab.core.errors import InputError
+from metafab.core.storage.files import require_file
 from metafab.core.storage.limits import require_modest_table
 
 #: Complex index for x and y polarisation.
@@ -66,13 +67,12 @@ def read_table(path: Path, name: str) -> IndexRecord:
     Lines that begin with ``#`` are comments; the first of them is the citation. A missing file, or rows that are not
     increasing wavelengths with n > 0 and k >= 0, raise InputError.
     """
+    expected = "a CSV file with the header wavelength_nm,n,k and rows of increasing wavelength, n > 0, k >= 0"
 
     def refuse(got: str, remedy: str = "correct the file") -> InputError:
-        expected = "a CSV file with the header wavelength_nm,n,k and rows of increasing wavelength, n > 0, k >= 0"
         return InputError.single(str(path), "file", expected, got, remedy)
 
-    if not path.is_file():
-        raise refuse("a folder" if path.is_dir() else "no file at that path", "check the path")
+    require_file(path, expected)
     try:
         require_modest_table(path)
         lines = path.read_text(encoding="utf-8-sig").splitlines()

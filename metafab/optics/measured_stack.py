@@ -107,7 +107,6 @@ def psf_of_stack(
     """
     depth, zero, made = _checked(stack, np.asarray(depth_m, dtype=np.float64), pixel_um, zero_m, split_um, distance_mm)
     lit, background, noise = _without_background(stack, depth)
-    shared = (stack == stack.max(axis=(-2, -1), keepdims=True)).sum(axis=(-2, -1))
     channels, _, n_y, n_x = stack.shape
     found = [find_centre(channel, centring) for channel in lit]
     centres = [one.place_px for one in found]
@@ -121,12 +120,8 @@ def psf_of_stack(
     if split_lens and (split_um is None or distance_mm is None or split_um[1] != 0.0 or split_um[0] == 0.0):
         expected = "the distance of the sensor and a split along x alone, from which the distortion follows"
         raise InputError.single("PSF stack", "split_lens", expected, f"{distance_mm} mm and {split_um} um")
-    if split_um is None:
-        split_um = (_SPLIT_PX * pixel_um, 0.0)
-        made.append(f"split of the images: {split_um[0]:g} um along x; a real camera's frames need their own")
-    if distance_mm is None:
-        distance_mm = _DISTANCE_MM
-        made.append(f"distance of the sensor: {distance_mm:g} mm; depths do not depend on it")
+    split_um, distance_mm, assumed = _geometry(pixel_um, split_um, distance_mm)
+    made += assumed
     offset_um = pixel_um * np.array(centres if channels == 2 else [(0.0, 0.0)] * 2)
     places = offset_um + 0.5 * np.array([[-1.0], [1.0]]) * np.array(split_um)
     # Noise against the signal of each picture; the y image made of x has the same.
@@ -136,10 +131,7 @@ def psf_of_stack(
     warnings = [one.warning for one in found if channels == 1 and one.warning is not None]
     if crowded > _CROWDED:
         warnings.append(f"{100.0 * crowded:.2g} % of a picture's light lies in its border: photograph a larger window")
-    if (most := int(shared.max())) > _MOST_PEAKS:
-        _, at = np.unravel_index(shared.argmax(), shared.shape)
-        pixels = f"{most} pixels of the picture at {depth[at]:g} m"
-        warnings.append(f"{pixels} share exactly its largest value: is it saturated?")
+    warnings += _saturated(stack, depth)
     psf = Psf(
         depth_m=depth,
         pixel_um=pixel_um,
@@ -174,6 +166,30 @@ def psf_of_stack(
     return psf, figures
 
 
+def _geometry(
+    pixel_um: float, split_um: tuple[float, float] | None, distance_mm: float | None
+) -> tuple[tuple[float, float], float, list[str]]:
+    """Split of the images and distance of the sensor, and sentences on those that are assumed."""
+    made = []
+    if split_um is None:
+        split_um = (_SPLIT_PX * pixel_um, 0.0)
+        made.append(f"split of the images: {split_um[0]:g} um along x; a real camera's frames need their own")
+    if distance_mm is None:
+        distance_mm = _DISTANCE_MM
+        made.append(f"distance of the sensor: {distance_mm:g} mm; depths do not depend on it")
+    return split_um, distance_mm, made
+
+
+def _saturated(stack: FloatArray, depth_m: FloatArray) -> list[str]:
+    """A sentence on a picture of which many pixels share the largest value."""
+    shared = (stack == stack.max(axis=(-2, -1), keepdims=True)).sum(axis=(-2, -1))
+    if (most := int(shared.max())) <= _MOST_PEAKS:
+        return []
+    _, at = np.unravel_index(shared.argmax(), shared.shape)
+    pixels = f"{most} pixels of the picture at {depth_m[at]:g} m"
+    return [f"{pixels} share exactly its largest value: is it saturated?"]
+
+
 def _checked(
     stack: FloatArray,
     depth_m: FloatArray,
@@ -183,26 +199,11 @@ def _checked(
     distance_mm: float | None,
 ) -> tuple[FloatArray, float, list[str]]:
     """Depths from the lens, their zero, and the assumptions on them."""
-    faults = []
-    if stack.ndim != 4 or stack.shape[0] not in {1, 2} or min(stack.shape[2:]) < _SMALLEST_PX:
-        expected = f"(1 or 2 channels, depths, rows, columns), {_SMALLEST_PX} pixels a side or more"
-        faults.append(Fault("stack", expected, f"shape {stack.shape}"))
-    elif depth_m.shape != stack.shape[1:2]:
-        faults.append(Fault("depths", f"one for each of {stack.shape[1]} pictures", f"shape {depth_m.shape}"))
-    if not np.isfinite(stack).all():
-        got = f"{int((~np.isfinite(stack)).sum())} values NaN or infinite"
-        faults.append(Fault("stack", "finite values", got, "repair dead pixels before the import"))
-    elif (peak := float(np.abs(stack).max(initial=0.0))) and not 1.0 / _MOST_PEAK <= peak <= _MOST_PEAK:
-        expected = f"values whose largest lies between {1.0 / _MOST_PEAK:g} and {_MOST_PEAK:g}"
-        faults.append(Fault("stack", expected, f"{peak:g}", "scale them"))
-    if depth_m.size < FEWEST_DEPTHS:
-        faults.append(Fault("depths", f"{FEWEST_DEPTHS} or more, as decoding needs", f"{depth_m.size}"))
-    elif not (np.isfinite(depth_m).all() and (np.diff(depth_m) > 0.0).all()):
-        remedy = "sort the pictures by depth, nearest first"
-        faults.append(Fault("depths", "finite, increasing depths in metres", _listed(depth_m), remedy))
-    elif depth_m[-1] > LARGEST:
-        faults.append(Fault("depths", f"depths in metres, at most {LARGEST:g}", _listed(depth_m)))
-    faults += _geometry_faults(pixel_um, split_um, distance_mm)
+    faults = [
+        *_stack_faults(stack, depth_m),
+        *_depth_faults(depth_m),
+        *_geometry_faults(pixel_um, split_um, distance_mm),
+    ]
     if faults:
         raise InputError("PSF stack", faults)
     made = []
@@ -217,6 +218,32 @@ def _checked(
         got = f"{zero:g} m, nearest depth {depth[0]:g} m"
         raise InputError.single("PSF stack", "zero_m", expected, got)
     return depth, zero, made
+
+
+def _stack_faults(stack: FloatArray, depth_m: FloatArray) -> Iterator[Fault]:
+    """Faults of shape and values."""
+    if stack.ndim != 4 or stack.shape[0] not in {1, 2} or min(stack.shape[2:]) < _SMALLEST_PX:
+        expected = f"(1 or 2 channels, depths, rows, columns), {_SMALLEST_PX} pixels a side or more"
+        yield Fault("stack", expected, f"shape {stack.shape}")
+    elif depth_m.shape != stack.shape[1:2]:
+        yield Fault("depths", f"one for each of {stack.shape[1]} pictures", f"shape {depth_m.shape}")
+    if not np.isfinite(stack).all():
+        got = f"{int((~np.isfinite(stack)).sum())} values NaN or infinite"
+        yield Fault("stack", "finite values", got, "repair dead pixels before the import")
+    elif (peak := float(np.abs(stack).max(initial=0.0))) and not 1.0 / _MOST_PEAK <= peak <= _MOST_PEAK:
+        expected = f"values whose largest lies between {1.0 / _MOST_PEAK:g} and {_MOST_PEAK:g}"
+        yield Fault("stack", expected, f"{peak:g}", "scale them")
+
+
+def _depth_faults(depth_m: FloatArray) -> Iterator[Fault]:
+    """Faults of depths relative to their zero."""
+    if depth_m.size < FEWEST_DEPTHS:
+        yield Fault("depths", f"{FEWEST_DEPTHS} or more, as decoding needs", f"{depth_m.size}")
+    elif not (np.isfinite(depth_m).all() and (np.diff(depth_m) > 0.0).all()):
+        remedy = "sort the pictures by depth, nearest first"
+        yield Fault("depths", "finite, increasing depths in metres", _listed(depth_m), remedy)
+    elif depth_m[-1] > LARGEST:
+        yield Fault("depths", f"depths in metres, at most {LARGEST:g}", _listed(depth_m))
 
 
 def _geometry_faults(

@@ -14,7 +14,7 @@ import numpy as np
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.storage import hdf5
-from metafab.core.storage.files import HDF5_SUFFIXES
+from metafab.core.storage.files import HDF5_SUFFIXES, require_file
 from metafab.core.storage.limits import require_modest_table
 from metafab.core.storage.pictures import read_array, require_few
 
@@ -47,15 +47,13 @@ def read_stack(path: Path, depths: int, names: Sequence[str] = ()) -> FloatArray
     if suffix not in {".mat", *HDF5_SUFFIXES}:
         if names:
             expected = "a MATLAB or HDF5 file, where an array has a name"
-            raise InputError.single(str(path), "--dataset", expected, f"a {suffix} file", "leave --dataset out")
+            raise InputError.single(str(path), "names", expected, f"a {suffix} file", "leave them out")
         if suffix not in _PICTURES:
             expected = f"a .mat, .h5, {', '.join(_PICTURES[:-1])} or {_PICTURES[-1]} file"
             raise InputError.single(str(path), "file", expected, repr(suffix), _REMEDY)
         arrays = [read_array(path)]
     else:
-        if not path.is_file():
-            got = "a folder" if path.is_dir() else "no file at that path"
-            raise InputError.single(str(path), "file", "a stack of pictures", got, "check the path")
+        require_file(path, "a stack of pictures")
         if not path.stat().st_size:
             expected = "a readable MATLAB or HDF5 file"
             raise InputError.single(str(path), "file", expected, "an empty file", "was it written whole?")
@@ -70,7 +68,7 @@ def read_stack(path: Path, depths: int, names: Sequence[str] = ()) -> FloatArray
     stacks = [_ordered(values, depths, path, depth_last=suffix == ".mat") for values in arrays]
     if len({stack.shape[1:] for stack in stacks}) > 1 or sum(len(stack) for stack in stacks) > 2:
         got = " and ".join(str(stack.shape) for stack in stacks)
-        raise InputError.single(str(path), "shape", "two channels of equal shape at most", got, "choose with --dataset")
+        raise InputError.single(str(path), "shape", "two channels of equal shape at most", got, "name the arrays")
     return np.concatenate(stacks)
 
 
@@ -152,13 +150,13 @@ def _chosen(path: Path, shapes: dict[str, tuple[int, ...]], names: Sequence[str]
     held = ", ".join(f"{name} {shapes[name]}" for name in stacks) or "none"
     wanted = [name.strip("/") for name in names]
     if len(wanted) > 2 or len(set(wanted)) < len(wanted):
-        raise InputError.single(str(path), "--dataset", "one name, or one for each of two channels", ", ".join(names))
+        raise InputError.single(str(path), "names", "one name, or one for each of two channels", ", ".join(names))
     if missing := [name for name in wanted if name not in shapes]:
         expected = f"an array of the file ({held})"
-        raise InputError.single(str(path), "--dataset", expected, ", ".join(missing), "choose one of these")
+        raise InputError.single(str(path), "names", expected, ", ".join(missing), "choose one of these")
     if not wanted and len(stacks) != 1:
-        remedy = "choose with --dataset NAME, once for each channel" if stacks else _REMEDY
-        raise InputError.single(str(path), "content", "one array of 3 or 4 axes", held, remedy)
+        remedy = "name one, or one for each channel" if stacks else _REMEDY
+        raise InputError.single(str(path), "names" if stacks else "content", "one array of 3 or 4 axes", held, remedy)
     chosen = wanted or stacks
     for name in chosen:
         require_few(path, *shapes[name])

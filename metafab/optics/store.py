@@ -146,14 +146,7 @@ def _check(psf: Psf, path: Path) -> None:
         size |= {"tangent_x": psf.field.tangent_x.size, "tangent_y": psf.field.tangent_y.size}
         faults += _shape_faults("field/", psf.field, _FIELD_DATASETS, size)
     if psf.ghost is not None:
-        faults += _shape_faults("ghost/", psf.ghost, _DATASETS, size)
-        if psf.field is not None and psf.ghost.field is not None:
-            faults += _shape_faults("ghost/field/", psf.ghost.field, _FIELD_DATASETS, size)
-        if (psf.field is None) != (psf.ghost.field is None):
-            expected = "a field in both the pair and the ghost, or in neither"
-            faults.append(Fault("ghost/field", expected, "a field in one of them", _REMEDY))
-        if not np.all(np.isfinite(psf.ghost.psf)):
-            faults.append(Fault("ghost/psf", "finite irradiance", "NaN or infinity", _REMEDY))
+        faults += _ghost_faults(psf, psf.ghost, size)
     if (found := psf.neighbours) is not None:
         blocks = size | {"x_um": found.x_um.size, "y_um": found.y_um.size}
         faults += _shape_faults("neighbours/", found, _NEIGHBOUR_DATASETS, blocks)
@@ -169,6 +162,19 @@ def _check(psf: Psf, path: Path) -> None:
         faults.append(Fault("psf", "finite irradiance", "NaN or infinity", _REMEDY))
     if faults:
         raise InputError(str(path), faults)
+
+
+def _ghost_faults(psf: Psf, ghost: Psf, size: dict[str, int]) -> list[Fault]:
+    """Faults of the pair that a birefringent substrate adds."""
+    faults = _shape_faults("ghost/", ghost, _DATASETS, size)
+    if psf.field is not None and ghost.field is not None:
+        faults += _shape_faults("ghost/field/", ghost.field, _FIELD_DATASETS, size)
+    if (psf.field is None) != (ghost.field is None):
+        expected = "a field in both the pair and the ghost, or in neither"
+        faults.append(Fault("ghost/field", expected, "a field in one of them", _REMEDY))
+    if not np.all(np.isfinite(ghost.psf)):
+        faults.append(Fault("ghost/psf", "finite irradiance", "NaN or infinity", _REMEDY))
+    return faults
 
 
 def _shape_faults(

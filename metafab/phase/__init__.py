@@ -4,6 +4,9 @@
 - ``optimise/``  helices with the brightest lobe, limited side lobes, or the largest depth information; bounds
 - ``studies/``   lobe, bounds of depth, cost of a colour filter, choice of [L, epsilon]
 - ``build``      a design's terms -> PhaseProfile
+- ``formulas``   terms that need no optimiser
+- ``picture``    the hologram of a picture
+- ``slopes``     direction of the light, and where the lattice undersamples the phase
 - ``pupil``      the pupil in normalised coordinates, rim defocus, paraxial images
 - ``jones_target``  target Jones matrices of a full-Stokes lens: six states of polarisation, six places
 - ``store``      ``phase.h5``: phases sampled over the aperture
@@ -62,7 +65,7 @@ if not TYPE_CHECKING:
         {
             "metafab.information.texture": "PointSource Texture",
             "metafab.information.fisher": "twin_information",
-            "metafab.phase.build": "require_paintable",
+            "metafab.phase.picture": "require_paintable",
             "metafab.phase.optimise.blind": "BlindDesign BlindInformation",
             "metafab.phase.optimise.peak": "PeakDesign",
             "metafab.phase.optimise.rotation": "MainLobe full_turn_dioptre ring_rotation rotation_deg_per_dioptre",

@@ -303,6 +303,10 @@ class UnitCell(Checked):
         smallest_nm = self.sweep.width_nm[0]
         if self.cell.shape == "ring" and not 0.0 < self.cell.hole_nm(smallest_nm) < smallest_nm:
             yield f"`sweep.width_nm` starts at {smallest_nm:g} nm: no ring of that outer diameter has this wall or hole"
+        yield from self._axis_faults()
+        yield from self._neighbour_faults()
+
+    def _axis_faults(self) -> Iterator[str]:
         spans = {} if self.sweep.axes is None else self.sweep.axes.spans
         is_ring = self.cell.shape == "ring"
         shape = "hexagonal lattices" if self.cell.is_hexagonal else f"the shape {self.cell.shape!r}"
@@ -327,7 +331,6 @@ class UnitCell(Checked):
                     f"`sweep.axes.cd_bias_nm` takes `sweep.{name}` to {smallest + low:g}..{largest + high:g} nm, "
                     f"outside 0 to `cell.period_nm` of {period:g} nm"
                 )
-        yield from self._neighbour_faults()
 
     def _neighbour_faults(self) -> Iterator[str]:
         """Refuse a model of neighbours where the row solver cannot supply its training rows."""

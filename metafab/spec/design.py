@@ -174,6 +174,17 @@ class Design(Checked):
         if informed and self.scene is None:
             yield "`optimise` = 'blind_information' needs a `scene`: its photons and noise decide"
         yield from self._faults_of_lights()
+        yield from self._faults_of_plates()
+        stop_um = None if self.optics is None else self.optics.stop_um
+        if stop_um is not None and stop_um > self.device.aperture_um:
+            yield f"`optics.stop_um` must be at most `device.aperture_um`, {self.device.aperture_um:g} um"
+        least_um = 2e-3 * max(self.unit_cell.cell.period_nm)
+        if stop_um is not None and stop_um < least_um:
+            least = f"at least {least_um:g} um, two periods"
+            yield f"`optics.stop_um` must be {least}, got {stop_um:g}; is it in micrometres?"
+
+    def _faults_of_plates(self) -> Iterator[str]:
+        """Faults of the plate between the object and the lens."""
         isotropic_um = 0.0 if self.optics is None else self.optics.substrate_um
         if isotropic_um > 0.0 and self.substrate is not None:
             yield "give `optics.substrate_um` or a `[substrate]`, not both: they are the same plate"
@@ -184,13 +195,6 @@ class Design(Checked):
                 yield f"`{name}` needs `illumination.side` = 'substrate': light from the ambient misses it"
             if substrate_um >= 1e6 * nearest_m:
                 yield f"`{name}` must end before the nearest object, {1e6 * nearest_m:g} um away"
-        stop_um = None if self.optics is None else self.optics.stop_um
-        if stop_um is not None and stop_um > self.device.aperture_um:
-            yield f"`optics.stop_um` must be at most `device.aperture_um`, {self.device.aperture_um:g} um"
-        least_um = 2e-3 * max(self.unit_cell.cell.period_nm)
-        if stop_um is not None and stop_um < least_um:
-            least = f"at least {least_um:g} um, two periods"
-            yield f"`optics.stop_um` must be {least}, got {stop_um:g}; is it in micrometres?"
 
     def _faults_of_rings(self) -> Iterator[str]:
         """Faults of rings: a wall or hole that cannot be drawn, or that breaks the rules at every outer diameter."""

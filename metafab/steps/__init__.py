@@ -1,6 +1,7 @@
 """Steps of the pipeline, in their order: each reads and writes files of the run folder and returns its figures.
 
 - ``job``        Job and Step
+- ``records``    what steps left: states of files, figures, times
 - ``preflight``  checks of the design alone
 - ``library``    phase library: built or loaded
 - ``phase``      target phases and their study
@@ -11,7 +12,7 @@
 - ``tolerance``  effect of fabrication errors
 - ``images``     raw frames, 4D images, films, camera calibration
 - ``stokes``     full-Stokes camera of a design
-- ``summary``    figures of all steps, error budget, ledger of work left out, ``summary.json``
+- ``summary``    figures of all steps, error budget, work left out, ``summary.json``
 
 The steps ``drc``, ``psf``, ``orders``, ``merit`` and ``lights`` read the written mask, never the arrays of the layout
 step. A step imports the rooms it uses when it runs, so that a run without stale steps imports none of them.

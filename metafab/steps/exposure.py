@@ -14,7 +14,7 @@ from metafab.core.parallel.work import Work
 from metafab.core.storage.files import file_sha256
 from metafab.core.storage.tables import optional
 from metafab.spec import Design, Dose
-from metafab.spec.mask import MOST_DATATYPES, Etch
+from metafab.spec.mask import MOST_DATATYPES, Etch, ExposureProcess
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
@@ -165,20 +165,8 @@ def expose_mask(
     from metafab.exposure.expose import base_dose_to_size
     from metafab.layout.outlines import Outline
 
-    expected, remedy = "copies without a bias of their own", "correct each variant as a design of its own"
-    biased = correct and any(copy.bias_nm for copy in design.mask.copies)
-    further = [Fault("mask.copies", expected, "biased copies", remedy)] if biased else []
-    dose = design.mask.dose
-    if dose is not None and (dose.by == "proximity" or not correct):
-        got, remedy = f"classes by {dose.by}", "expose the plain mask with its own design"
-        further.append(Fault("mask.dose", "one dose for all pillars: doses of classes are not read", got, remedy))
-    process = exposure.exposure_process(design, further)
+    process = _available_process(design, correct=correct)
     outline, together = Outline.of(design), correct and process.correction == "dose"
-    most_classes = MOST_DATATYPES // len(design.mask.doses)
-    if together and most_classes < 2:
-        expected = f"at most {MOST_DATATYPES // 2} different doses, as each has two classes at least"
-        remedy = 'correct groups of them as designs of their own, or set `process.exposure.correction = "shape"`'
-        raise InputError.single(design.name, "mask.copies", expected, f"{len(design.mask.doses)}", remedy)
     copies, in_focus = design.mask.copies, exposure.beam_psf(process)
     # All lenses are corrected for the focus of the one that is read.
     psf = exposure.beam_psf(process, copies[copy - 1].focus_um) if 1 <= copy <= len(copies) else in_focus
@@ -194,7 +182,7 @@ def expose_mask(
         del before  # its doses are as large as the lens
     numerics = exposure.ExposureNumerics(
         classes=process.classes,
-        most_classes=most_classes,
+        most_classes=MOST_DATATYPES // len(design.mask.doses),
         samples=samples,
         keep_sizes=keep_sizes,
     )
@@ -204,6 +192,26 @@ def expose_mask(
         plain = exposure.SizeErrors.of(found[0])
     by_number = sorted(zip((lens.number for lens in lenses), found, strict=True))
     return ExposedMask(pillars, psf, found[0], listed, plain, dict(by_number))
+
+
+def _available_process(design: Design, *, correct: bool) -> ExposureProcess:
+    """``[process.exposure]`` of a design; InputError if a key of it, or of the mask, is not available with it."""
+    from metafab import exposure
+
+    further = []
+    if correct and any(copy.bias_nm for copy in design.mask.copies):
+        expected, remedy = "copies without a bias of their own", "correct each variant as a design of its own"
+        further.append(Fault("mask.copies", expected, "biased copies", remedy))
+    dose = design.mask.dose
+    if dose is not None and (dose.by == "proximity" or not correct):
+        got, remedy = f"classes by {dose.by}", "expose the plain mask with its own design"
+        further.append(Fault("mask.dose", "one dose for all pillars: doses of classes are not read", got, remedy))
+    process = exposure.exposure_process(design, further)
+    if correct and process.correction == "dose" and 2 * len(design.mask.doses) > MOST_DATATYPES:
+        expected = f"at most {MOST_DATATYPES // 2} different doses, as each has two classes at least"
+        remedy = 'correct groups of them as designs of their own, or set `process.exposure.correction = "shape"`'
+        raise InputError.single(design.name, "mask.copies", expected, f"{len(design.mask.doses)}", remedy)
+    return process
 
 
 def copy_figures(exposed: ExposedMask, design: Design) -> tuple[CopyFigures, ...]:

@@ -27,7 +27,7 @@ def preflight(design: Design) -> None:
     """
     from metafab import layout, mask
     from metafab.optics import Imaging
-    from metafab.phase.build import require_paintable
+    from metafab.phase.picture import require_paintable
 
     faults: list[Fault] = []
     of_lattice = (
@@ -199,7 +199,7 @@ def _objects_outside_view(design: Design, scene: Scene) -> list[Fault]:
 
 def too_steep(job: Job) -> list[str]:
     """Return a warning, for each light, if the target phases are steeper than the pillars can follow."""
-    from metafab.phase.build import undersampled_share
+    from metafab.phase.slopes import undersampled_share
 
     warnings = []
     for light in job.design.light or (None,):

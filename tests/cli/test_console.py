@@ -22,7 +22,7 @@ import pytest
 import typer
 
 from metafab.cli import console, entry
-from metafab.cli.commands.run import headlines
+from metafab.cli.headlines import headlines
 from metafab.core.errors import InputError, MetafabError, MissingToolError, SolverError
 from metafab.core.parallel.progress import silent
 from metafab.steps import RunSummary

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from metafab.cli.outputs import require_file_output, require_output
 from metafab.core.errors import InputError
-from metafab.core.storage.files import require_file_output, require_output
 from tests.main_job import SMALL, UNIT_CELL, metafab
 
 SCENE = """field_px = [64, 64]

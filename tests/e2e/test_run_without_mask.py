@@ -11,9 +11,10 @@ from metafab.core.errors import InputError
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import write_json
 from metafab.optics import load
-from metafab.run import STEPS_FILE, FileMark, Record, run
+from metafab.run import run
 from metafab.spec import Design, canonical_toml, load_design
 from metafab.steps import Job, RunSummary, point_spread, write_layout
+from metafab.steps.records import STEPS_FILE, FileMark, Record
 from metafab.steps.stokes import full_stokes
 from tests.main_job import SMALL
 

@@ -20,13 +20,14 @@ from metafab.core.figures import PhaseFigures
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import fingerprint, whole_file
 from metafab.core.storage.provenance import contents_sha256
-from metafab.run import REPORT, STEPS, FileMark, Record, ReportFigures, run
+from metafab.run import REPORT, STEPS, ReportFigures, run
 from metafab.spec import Design, load_design
 from metafab.steps import RESULT_STEPS
 from metafab.steps.images import CaptureFigures
 from metafab.steps.job import Job, Step
 from metafab.steps.layout import DrcFigures
 from metafab.steps.preflight import PREFLIGHT, PreflightFigures
+from metafab.steps.records import FileMark, Record
 from metafab.steps.summary import RunSummary, SkippedStep
 
 

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from metafab.cli.app import Cluster, Json, Output, TargetError, UnitCellFile, Workers, app, library_app
+from metafab.cli.app import Cluster, Json, TargetError, UnitCellFile, Workers, app, library_app
 from metafab.cli.console import announce, coverage_warning, open_work, pace, show
+from metafab.cli.outputs import Hdf5Output, Output, require_file_output
 from metafab.core.errors import Fault, InputError
 from metafab.core.storage.tables import optional
 
@@ -123,7 +124,7 @@ def library_build(
     """Build a library: sweep width and length until every size is within the target error."""
     from metafab import library
     from metafab.cell.open_orders import open_orders
-    from metafab.core.storage.files import plain, require_file_output
+    from metafab.core.storage.files import plain
     from metafab.library.store import statistics_json
     from metafab.spec import load_unit_cell
 
@@ -192,18 +193,17 @@ def library_import(
         Literal["minus", "plus"],
         typer.Option(help="The program's time dependence: exp(-i omega t) or exp(+i omega t)."),
     ] = "minus",
-    output: Output = None,
+    output: Hdf5Output = None,
     json_: Json = False,
 ) -> None:
     """Make a library of a sweep that another program solved; its error is that of cross-validation."""
     from metafab import library
-    from metafab.core.storage.files import plain, require_file_output, require_hdf5_name
+    from metafab.core.storage.files import plain
     from metafab.library.foreign.imported import import_sweep
     from metafab.library.store import statistics_json
     from metafab.spec import load_unit_cell
 
     path = output or sweep.with_suffix(".library.h5")
-    require_hdf5_name(path)
     require_file_output(path, [sweep, unit_cell])
     made = import_sweep(sweep, load_unit_cell(unit_cell), quantity=quantity, time_sign=time_sign)
     library.save(made, path)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import csv
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metafab.cli.app import Copy, DesignOption, Json, LayoutFile, Output, Workers, app
+from metafab.cli.app import Copy, DesignOption, Json, LayoutFile, Workers, app
 from metafab.cli.console import announce, open_work, show
+from metafab.cli.outputs import NamedOutput, require_file_output, require_folder_output
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
     from metafab.exposure import BeamPsf, SampledPillar
+    from metafab.spec import Design
+    from metafab.steps.exposure import ExposedMask
 
 
 @app.command("expose")
@@ -51,64 +54,35 @@ def expose_command(
     DIR/corrected. With -o DIR/exposure.json in a run folder, the next report shows the size errors;
     with --correct, before and after the correction.
     """
-    from metafab.core.storage.files import require_file_output, require_folder_output
     from metafab.spec import load_design
-    from metafab.steps.exposure import (
-        copy_figures,
-        corrected_folder,
-        errors_of_copies_nm,
-        expose_mask,
-        save_exposure,
-        write_corrected,
-    )
+    from metafab.steps.exposure import expose_mask, save_exposure, write_corrected
 
     if (sample > 0) != (sample_csv is not None):
         expected = "`--sample N` together with `--sample-csv OUT.csv`"
         raise InputError.single("--sample", "sample", expected, "one of them")
-    record = output if output is not None and output.suffix.lower() == ".json" else None
-    folder = output if record is None else None
-    if folder is not None and not correct:
-        expected = "a name ending with .json, or `--correct` with a folder"
-        raise InputError.single("--output", "output", expected, f"{folder} without a correction", "add `--correct`")
-    if folder is not None:
-        require_folder_output(folder)
-    if record is not None:
-        require_file_output(record, [layout, design])
+    record, folder = _record_or_folder(output, layout, design, correct=correct)
     spec = load_design(design)
     process = None if spec.process is None else spec.process.exposure
     by_dose = folder is not None and process is not None and process.correction == "dose"
     if dose_datatypes and not (by_dose and "gds" in spec.mask.formats):
         expected = '`--correct -o DIR`, a correction of doses, and "gds" in `mask.formats`'
         raise InputError.single("--dose-datatypes", "option", expected, "another command or design")
-    if folder is not None:
-        asked, folder = folder, corrected_folder(folder, layout)
-        if folder != asked:
-            announce([f"{asked} keeps its mask: the corrected one goes to {folder}"])
+    files: tuple[Path, ...] = ()
     with open_work(workers) as (work, cost):
         exposed = expose_mask(
             layout, spec, work, correct=correct, samples=sample, copy=copy, keep_plain=record is not None
         )
-        files = (
-            ()
-            if folder is None
-            else write_corrected(exposed, spec, folder, work.progress, dose_datatypes=dose_datatypes)
-        )
+        if folder is not None:
+            files = write_corrected(exposed, spec, folder, work.progress, dose_datatypes=dose_datatypes)
         if record is not None:
             save_exposure(exposed, layout, spec, record)
             files = (record,)
     result = exposed.exposure
     if sample_csv is not None:
         _write_samples(result.samples, sample_csv)
-    sizes = {path.name: path.stat().st_size for path in files}
-    further: dict[str, object] = {"files": sizes} if files else {}
-    if folder is not None:
-        further["folder"] = str(folder)
     asked_classes = "auto" if process is None else process.classes
     if result.figures.rounds and asked_classes != "auto" and 1 < result.figures.classes < asked_classes:
         announce([f"{result.figures.classes} of {asked_classes} classes: doses of `mask.copies` need datatypes too"])
-    if copies := copy_figures(exposed, spec):
-        further["copies"] = [asdict(one) for one in copies]
-        further["copies_rms_nm"], further["copies_max_nm"] = errors_of_copies_nm(copies)
     show(
         result.figures,
         json_,
@@ -116,8 +90,41 @@ def expose_command(
         psf=_described(exposed.psf),
         seconds=cost.seconds,
         peak_rss_mb=cost.peak_rss_mb,
-        **further,
+        **({"files": {path.name: path.stat().st_size for path in files}} if files else {}),
+        **({} if folder is None else {"folder": str(folder)}),
+        **_of_copies(exposed, spec),
     )
+
+
+def _record_or_folder(
+    output: Path | None, layout: Path, design: Path, *, correct: bool
+) -> tuple[Path | None, Path | None]:
+    """File of the size errors, or folder of the corrected mask; one of them or both are None."""
+    from metafab.steps.exposure import corrected_folder
+
+    if output is None:
+        return None, None
+    if output.suffix.lower() == ".json":
+        require_file_output(output, [layout, design])
+        return output, None
+    if not correct:
+        expected = "a name ending with .json, or `--correct` with a folder"
+        raise InputError.single("--output", "output", expected, f"{output} without a correction", "add `--correct`")
+    require_folder_output(output)
+    folder = corrected_folder(output, layout)
+    if folder != output:
+        announce([f"{output} keeps its mask: the corrected one goes to {folder}"])
+    return None, folder
+
+
+def _of_copies(exposed: ExposedMask, design: Design) -> dict[str, Any]:
+    """Figures of the lenses of ``mask.copies``; empty for a single lens."""
+    from metafab.steps.exposure import copy_figures, errors_of_copies_nm
+
+    if not (copies := copy_figures(exposed, design)):
+        return {}
+    rms_nm, max_nm = errors_of_copies_nm(copies)
+    return {"copies": [asdict(one) for one in copies], "copies_rms_nm": rms_nm, "copies_max_nm": max_nm}
 
 
 def _described(psf: BeamPsf) -> dict[str, object]:
@@ -170,7 +177,7 @@ def process_fit_command(
         ),
     ] = None,
     copy: Copy = 1,
-    output: Output = None,
+    output: NamedOutput = Path("process.toml"),
     workers: Workers = None,
     json_: Json = False,
 ) -> None:
@@ -191,12 +198,11 @@ def process_fit_command(
     with open_work(workers) as (work, cost):
         chosen = [name for name in PARAMETERS if name in names]
         fitted = fitted_process(measured, layout, spec, chosen, copy, work)
-    path = output or Path("process.toml")
     read = [file for file in (measured, layout, design, spec.library) if file.is_file()]
-    for file in process_files(path, fitted):
+    for file in process_files(output, fitted):
         if file.is_file() and any(file.samefile(each) for each in read):
             raise InputError.single("--output", "output", "files of its own", f"{file}, which is read", "name another")
-    files = save_process(fitted, path)
+    files = save_process(fitted, output)
     announce(f"hardly counts: {size}" for size in fitted.fit.far)
     if fitted.fit.largest_correlation > 0.99:
         one, other = fitted.fit.correlated

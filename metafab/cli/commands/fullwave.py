@@ -14,7 +14,6 @@ from metafab.cli.app import (
     DesignOption,
     Json,
     LayoutFile,
-    Output,
     TargetError,
     Workers,
     app,
@@ -22,6 +21,7 @@ from metafab.cli.app import (
     require_positive,
 )
 from metafab.cli.console import announce, open_work, show
+from metafab.cli.outputs import NamedOutput, Output
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def patch_command(
     limit_min: Annotated[float, typer.Option(min=0.0, help="Longest simulation, minutes.")] = 30.0,
     limit_mb: Annotated[float, typer.Option(min=0.0, help="Largest memory, MB.")] = 8000.0,
     force: Annotated[bool, typer.Option("--force", help="Ignore these limits.")] = False,
-    output: Output = None,
+    output: NamedOutput = Path("patch.h5"),
     json_: Json = False,
 ) -> None:
     """Simulate a square patch of a written mask with Meep and compare its field with that of the library.
@@ -113,13 +113,11 @@ def patch_command(
     from metafab import fullwave, mask
     from metafab.cell.meep import Pool, SupercellSettings
     from metafab.cell.meep.pool import own_folder
-    from metafab.core.storage.files import file_sha256, fingerprint, require_file_output
+    from metafab.core.storage.files import file_sha256, fingerprint
     from metafab.fullwave.patch import PATCH_DECAY
     from metafab.steps import open_library
 
     require_positive("--size-um", size_um)
-    path = output or Path("patch.h5")
-    require_file_output(path, [layout, design])
     with open_work() as (work, _):
         job = open_job(design, None, work)
         opened = open_library(job)
@@ -142,7 +140,7 @@ def patch_command(
             )  # fmt: skip
         with Pool(1, limit_s=max(3600.0, _PATIENCE * plan.cost.seconds), keep=own_folder()) as pool:
             patch = fullwave.solve_patch(plan, opened, polarisation, pool, work.progress)
-    fullwave.save_patch(patch, path, inputs_sha256=fingerprint(file_sha256(layout), at_um, size_um, polarisation))
+    fullwave.save_patch(patch, output, inputs_sha256=fingerprint(file_sha256(layout), at_um, size_um, polarisation))
     differences = asdict(patch.against_library)
     for name, difference in (("coupling", patch.coupling), ("grid", patch.grid), ("model", patch.model)):
         if difference is not None:
@@ -156,7 +154,7 @@ def patch_command(
         seconds=patch.seconds,
         estimate={"pixels": plan.cost.pixels, "seconds": plan.cost.seconds, "memory_mb": memory_mb},
         numerics={"pixels_per_period": pixels_per_period, "padding_sites": padding_sites},
-        file=path,
+        file=output,
     )
 
 
@@ -180,13 +178,11 @@ def fullwave_command(
     beside BLOCKS.json, and the same command goes on with them.
     """
     from metafab.cell.elements.solve import ElementNumerics
-    from metafab.core.storage.files import require_file_output, write_json
+    from metafab.core.storage.files import write_json
     from metafab.fullwave.blocks import BlockNumerics, inputs_of_answers, read_blocks, solve_blocks
     from metafab.fullwave.record import kept_blocks
     from metafab.library import load
 
-    if output is not None:
-        require_file_output(output)
     opened = load(library)
     rcwa = ElementNumerics() if target_error is None else ElementNumerics(target_error)
     numerics = BlockNumerics(rcwa, tuple(pixels_per_period or BlockNumerics().pixels_per_period))

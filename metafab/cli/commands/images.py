@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metafab.cli.app import Json, Output, app, require_finite, require_positive
+from metafab.cli.app import Json, app, require_finite, require_positive
 from metafab.cli.console import announce, open_work, show
+from metafab.cli.outputs import NamedHdf5Output, NamedOutput, Output, require_file_output, require_hdf5_name
 from metafab.core.errors import InputError
 from metafab.core.storage.tables import optional
 
@@ -83,12 +84,7 @@ def capture_command(
 
     A frame is an .h5 with its truth, or counts in .tif, .png or .npy.
     """
-    from metafab.camera import counts_of
-    from metafab.camera.frames.foreign import counted_shape
-    from metafab.core.storage.files import HDF5_SUFFIXES, require_file_output, require_hdf5_name
-    from metafab.core.storage.provenance import named_files
-    from metafab.spec import load_scene
-    from metafab.steps.images import capture, capture_batch, frame_files
+    from metafab.core.storage.files import HDF5_SUFFIXES
 
     path = output or Path("raw.h5" if draws is None else "batch.h5")
     in_counts = path.suffix.lower() not in HDF5_SUFFIXES
@@ -100,26 +96,51 @@ def capture_command(
         if frames > 1:
             expected, remedy = "a film (`--frames`) or a batch (`--draws`)", "leave one of them out"
             raise InputError.single("capture", "--draws", expected, "both", remedy)
-        with open_work() as (work, cost):
-            pairs = [(scene, load_scene(scene)) for scene in scenes]
-            require_file_output(path, [*scenes, psf, *named_files([scene for _, scene in pairs])])
-            batch = capture_batch(pairs, psf, path, draws, seed=seed, progress=work.progress)
-        show(CaptureAnswer(shape=batch.shape, photons=batch.photons, seconds=cost.seconds, file=path), json_)
+        show(_batch(scenes, psf, path, draws, seed), json_)
         return
     if len(scenes) > 1:
         raise InputError.single("capture", "SCENE", "one scene", f"{len(scenes)}", "add `--draws N` for a batch")
+    answer, counts = _frames(scenes[0], psf, path, frames, seed, black if in_counts else None)
+    # The options that `decode` needs to read files in counts.
+    show(answer, json_, **({} if counts is None else vars(counts)))
+
+
+def _batch(scenes: list[Path], psf: Path, path: Path, draws: int, seed: int | None) -> CaptureAnswer:
+    """Write a batch of frames of scenes."""
+    from metafab.core.storage.provenance import named_files
+    from metafab.spec import load_scene
+    from metafab.steps.images import capture_batch
+
+    with open_work() as (work, cost):
+        pairs = [(scene, load_scene(scene)) for scene in scenes]
+        require_file_output(path, [*scenes, psf, *named_files([scene for _, scene in pairs])])
+        batch = capture_batch(pairs, psf, path, draws, seed=seed, progress=work.progress)
+    return CaptureAnswer(shape=batch.shape, photons=batch.photons, seconds=cost.seconds, file=path)
+
+
+def _frames(
+    scene_path: Path, psf: Path, path: Path, frames: int, seed: int | None, black: int | None
+) -> tuple[CaptureAnswer, Counts | None]:
+    """Write the frames of a scene: in counts over a ``black`` level, with their meaning, or in electrons (None)."""
+    from metafab.camera import counts_of
+    from metafab.camera.frames.foreign import counted_shape
+    from metafab.core.storage.provenance import named_files
+    from metafab.spec import load_scene
+    from metafab.steps.images import capture, frame_files
+
     photons: list[float] = []
     files: list[Path] = []
     shape: tuple[int, ...] = ()
     counts: Counts | None = None
-    scene = load_scene(scenes[0])
+    scene = load_scene(scene_path)
     for file in frame_files(path, frames):
-        require_file_output(file, [*scenes, psf, *named_files(scene)])
+        require_file_output(file, [scene_path, psf, *named_files(scene)])
     with open_work() as (work, cost):
-        filmed = capture(scene, psf, path, frames, scene_path=scenes[0], seed=seed, black=black, progress=work.progress)
-        for frame, file in filmed:
-            counts = counts_of(frame, black=black) if in_counts else None
-            shape = counted_shape(frame) if in_counts else frame.frame.shape
+        for frame, file in capture(
+            scene, psf, path, frames, scene_path=scene_path, seed=seed, black=black or 0, progress=work.progress
+        ):
+            counts = None if black is None else counts_of(frame, black=black)
+            shape = frame.frame.shape if black is None else counted_shape(frame)
             photons.append(float(frame.frame.sum()))
             files.append(file)
     answer = CaptureAnswer(
@@ -129,41 +150,38 @@ def capture_command(
         file=files[0] if frames == 1 else None,
         files=None if frames == 1 else files,
     )
-    # The options that `decode` needs to read files in counts.
-    show(answer, json_, **({} if counts is None else vars(counts)))
+    return answer, counts
 
 
 @app.command("film")
 def film_command(
     scene: SceneFile,
     psf: PsfOption,
-    output: Output = None,
+    output: NamedOutput = Path("film.gif"),
     frames: Annotated[int | None, typer.Option(min=1, metavar="N", help="Frames [default: the scene's].")] = None,
     seed: Seed = None,
     json_: Json = False,
 ) -> None:
     """Simulate, decode and draw a film of a moving scene: .gif, or .mp4 with ffmpeg."""
     from metafab import report
-    from metafab.core.storage.files import require_file_output
     from metafab.core.storage.provenance import named_files
     from metafab.spec import load_scene
     from metafab.steps.images import FilmFigures, decoded_film
 
-    path = output or Path("film.gif")
-    report.require_film_name(path)
+    report.require_film_name(output)
     moving = load_scene(scene)
-    require_file_output(path, [scene, psf, *named_files(moving)])
+    require_file_output(output, named_files(moving))
     with open_work() as (work, cost):
         film = list(decoded_film(moving, psf, frames, scene_path=scene, seed=seed, progress=work.progress))
-        report.write_film(film, path, frame_interval_s=moving.frame_interval_s)
-    show(FilmFigures.of(film), json_, seconds=cost.seconds, file=path)
+        report.write_film(film, output, frame_interval_s=moving.frame_interval_s)
+    show(FilmFigures.of(film), json_, seconds=cost.seconds, file=output)
 
 
 @app.command("decode")
 def decode_command(
     raw: Annotated[Path, typer.Argument(metavar="RAW", help="Raw frame: .h5, .tif, .png or .npy.")],
     psf: PsfOption,
-    output: Output = None,
+    output: NamedHdf5Output = Path("decoded.h5"),
     black: Black = 0.0,
     electrons_per_count: Gain = 1.0,
     read_noise_e: ReadNoise = 0.0,
@@ -172,17 +190,14 @@ def decode_command(
     json_: Json = False,
 ) -> None:
     """Decode a raw frame to a 4D image: both intensities, contrast and depth."""
-    from metafab.core.storage.files import plain, require_file_output, require_hdf5_name
+    from metafab.core.storage.files import plain
     from metafab.steps.images import DecodeFigures, decode_file
 
-    path = output or Path("decoded.h5")
-    require_hdf5_name(path)
-    require_file_output(path, [raw, psf])
     with open_work() as (work, _):
         from metafab.decode import FAST
 
         counts = _counts(black, electrons_per_count, read_noise_e, white)
-        image = decode_file(raw, psf, path, counts=counts, numerics=FAST if fast else None, progress=work.progress)
+        image = decode_file(raw, psf, output, counts=counts, numerics=FAST if fast else None, progress=work.progress)
         figures = DecodeFigures.of(image)
     if figures.reason is not None:
         announce([f"{raw}: {figures.reason}; the image is empty"])
@@ -191,7 +206,7 @@ def decode_command(
     table = plain(figures)
     if figures.nmae is None:
         del table["nmae"]  # Without truth, the answer has no error.
-    show(table, json_, file=path)
+    show(table, json_, file=output)
 
 
 @app.command("calibrate")
@@ -201,7 +216,7 @@ def calibrate_command(
     ],
     psf: Annotated[Path, typer.Option("--psf", metavar="PSF.h5", help="PSF pair predicted from the mask.")],
     depths: Annotated[Path, typer.Option("--depths", metavar="DEPTHS.csv", help="Lines `frame, depth in m`.")],
-    output: Output = None,
+    output: NamedHdf5Output = Path("calibrated.h5"),
     black: Black = 0.0,
     electrons_per_count: Gain = 1.0,
     read_noise_e: ReadNoise = 0.0,
@@ -210,13 +225,9 @@ def calibrate_command(
 ) -> None:
     """Calibrate a camera from photographs of a point source at known depths."""
     from metafab import decode
-    from metafab.core.storage.files import require_file_output, require_hdf5_name
     from metafab.steps.images import calibrate
 
-    path = output or Path("calibrated.h5")
-    require_hdf5_name(path)
-    require_file_output(path, [*frames, psf, depths])
     counts = _counts(black, electrons_per_count, read_noise_e, white)
-    fit = calibrate(frames, depths, psf, path, counts=counts)
+    fit = calibrate(frames, depths, psf, output, counts=counts)
     announce([f"not told apart: {decode.NOT_SEPARATED}"])
-    show(fit, json_, not_separated=decode.NOT_SEPARATED, frames=len(frames), file=path)
+    show(fit, json_, not_separated=decode.NOT_SEPARATED, frames=len(frames), file=output)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -15,7 +17,6 @@ from metafab.cli.app import (
     DesignOption,
     Json,
     LayoutFile,
-    Output,
     TargetError,
     Workers,
     app,
@@ -24,12 +25,27 @@ from metafab.cli.app import (
     require_positive,
 )
 from metafab.cli.console import announce, open_work, show
+from metafab.cli.outputs import Hdf5Output, NamedHdf5Output, Output, require_file_output
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
     from metafab.core.conventions import FloatArray
     from metafab.optics import Psf
+    from metafab.steps.exposure import Printed
     from metafab.steps.job import Job
+    from metafab.steps.optics import WrittenLens
+
+
+#: Options of ``psf import`` by the arguments that its faults name.
+_OPTIONS = {
+    "names": "--dataset",
+    "depths": "--depths",
+    "centring": "--centre",
+    "zero_m": "--zero-m",
+    "split_um": "--split-um",
+    "split_lens": "--split-lens",
+    "distance_mm": "--distance-mm",
+}
 
 
 @app.command("psf")
@@ -83,26 +99,18 @@ def psf_command(
     copy: Copy = 1,
     workers: Workers = None,
     cluster: Cluster = None,
-    output: Output = None,
+    output: Hdf5Output = None,
     json_: Json = False,
 ) -> None:
     """Compute the PSF pair of a written mask over depth."""
-    from metafab.core.storage.files import require_hdf5_name
     from metafab.spec import load_scene
     from metafab.steps import optics
     from metafab.steps.images import of_scene_file
     from metafab.steps.job import light_tangent
 
-    if output is not None:
-        require_hdf5_name(output)
-    if ideal == (layout is not None):
-        raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
-    if printed is not None and ideal:
-        raise InputError.single("psf", "--printed", "a mask file", "--ideal", "name the mask")
-    if sizes is not None and (ideal or printed is not None):
-        given = "--ideal" if ideal else "--printed"
-        raise InputError.single("psf", "--sizes", "a mask file, and no other sizes", given, f"leave {given} out")
-    options = {
+    lens = _lens(layout, copy, printed, sizes, ideal=ideal)
+    whole = {"--calibration": calibration or None, "--scene": scene}
+    single = {
         "--depths-m": depths_m,
         "--object-mm": object_mm,
         "--angle-deg": angle_deg,
@@ -111,51 +119,65 @@ def psf_command(
         "--window-px": window_px,
         "--target-error": target_error,
         "--sizes": sizes,
-        "--calibration": calibration or None,
-        "--scene": scene,
     }
-    present = [name for name, value in options.items() if value is not None]
-    if len(present) > 1 and (calibration or scene is not None):
-        whole = "--scene" if scene is not None else "--calibration"
-        raise InputError.single("psf", whole, "none of the options that it sets itself", ", ".join(present))
-    if object_mm is not None and angle_deg is not None:
-        raise InputError.single("psf", "--object-mm", "the place of the object, or --angle-deg", "both")
+    _require_compatible(single, whole)
     require_positive("--depths-m", *(depth for depth in depths_m or () if depth != math.inf))
     require_positive("--pixel-um", pixel_um)
     require_positive("--wavelength-nm", wavelength_nm)
     require_finite("--object-mm", *(object_mm or ()))
     require_finite("--centre-um", *(centre_um or ()))
+    light_at_um = None
     with open_work(workers, cluster) as (work, cost):
-        job = open_job(design, None, work)
-        if wavelength_nm is not None or angle_deg is not None:
-            job = _at_light(job, wavelength_nm, angle_deg)
-        light_at_um = None
+        job = _at_light(open_job(design, None, work), wavelength_nm, angle_deg)
         if calibration:
-            pair = optics.calibration(job, layout, copy=copy, printed=printed)
+            pair = optics.calibration(job, lens)
         elif scene is not None:
             photographed = load_scene(scene)
             with of_scene_file(scene, photographed):
-                pair = optics.scene_pair(job, layout, photographed, copy=copy, printed=printed)
+                pair = optics.scene_pair(job, lens, photographed)
         else:
             pair, light_at_um = optics.point_spread(
                 job,
-                layout,
+                lens,
                 depths_m=tuple(sorted(set(depths_m))) if depths_m else None,
                 object_mm=object_mm or (0.0, 0.0),
                 pixel_um=pixel_um,
                 window_px=window_px,
                 target_error=target_error,
-                copy=copy,
                 centre_um=centre_um,
-                printed=printed,
-                sizes=sizes,
                 tangent=None if job.light is None or angle_deg is None else light_tangent(job.design, job.light),
             )
     if output is not None:
-        optics.save_psf(job, pair, layout, output, copy, printed, sizes)
+        optics.save_psf(job, pair, lens, output)
     figures = optics.pair_figures(job, pair, light_at_um)
     announce(figures.warnings())
     show(figures, json_, **neighbour_figures(job, pair), seconds=cost.seconds, file=output)
+
+
+def _lens(
+    layout: Path | None, copy: int, printed: Printed | None, sizes: Path | None, *, ideal: bool
+) -> WrittenLens | None:
+    """The lens that the options name; None for the target phases."""
+    from metafab.steps.optics import WrittenLens
+
+    if ideal == (layout is not None):
+        raise InputError.single("psf", "LAYOUT", "a mask file, or --ideal in its place", "both" if ideal else "neither")
+    if printed is not None and ideal:
+        raise InputError.single("psf", "--printed", "a mask file", "--ideal", "name the mask")
+    if sizes is not None and (ideal or printed is not None):
+        given = "--ideal" if ideal else "--printed"
+        raise InputError.single("psf", "--sizes", "a mask file, and no other sizes", given, f"leave {given} out")
+    return None if layout is None else WrittenLens(layout, copy, printed, sizes)
+
+
+def _require_compatible(single: Mapping[str, object], whole: Mapping[str, object]) -> None:
+    """Check that options for one place of the object are given alone, or one for a whole scene; None is not given."""
+    given, wholes = ([name for name, value in each.items() if value is not None] for each in (single, whole))
+    if wholes and len(given) + len(wholes) > 1:
+        expected = "none of the options that it sets itself"
+        raise InputError.single("psf", wholes[-1], expected, ", ".join(given + wholes))
+    if {"--object-mm", "--angle-deg"} <= {*given}:
+        raise InputError.single("psf", "--object-mm", "the place of the object, or --angle-deg", "both")
 
 
 def neighbour_figures(job: Job, pair: Psf) -> dict[str, Any]:
@@ -169,9 +191,11 @@ def neighbour_figures(job: Job, pair: Psf) -> dict[str, Any]:
 
 
 def _at_light(job: Job, wavelength_nm: float | None, angle_deg: tuple[float, float] | None) -> Job:
-    """The job in one of the lights that its design serves."""
+    """The job in one of the lights that its design serves; unchanged where neither option is given."""
     from metafab.spec.light import light_label
 
+    if wavelength_nm is None and angle_deg is None:
+        return job
     own_nm = job.design.unit_cell.illumination.wavelength_nm
     key = (own_nm if wavelength_nm is None else wavelength_nm, *(angle_deg or (0.0, 0.0)))
     for light in job.design.light:
@@ -221,27 +245,26 @@ def import_command(
     first_row: Annotated[
         Literal["top", "bottom"], typer.Option("--first-row", help="Side of the pictures' first row.")
     ] = "top",
-    output: Output = None,
+    output: NamedHdf5Output = Path("psf.h5"),
     json_: Json = False,
 ) -> None:
     """Make a PSF pair for the decoder from pictures of a point at known depths."""
     from metafab import optics
-    from metafab.core.storage.files import file_sha256, fingerprint, plain, require_file_output, require_hdf5_name
+    from metafab.core.storage.files import file_sha256, fingerprint, plain
     from metafab.optics.measured_stack import psf_of_stack
     from metafab.optics.stack_files import lowest_row_first, read_stack
 
-    path = output or Path("psf.h5")
-    require_hdf5_name(path)
-    require_file_output(path, [stack, *map(Path, depths)])
+    require_file_output(output, map(Path, depths))
     require_positive("--pixel-um", pixel_um)
     require_positive("--distance-mm", distance_mm)
     require_finite("--split-um", *(split_um or ()))
     require_finite("--zero-m", zero_m)
     depth_m = _depths_m(depths)
-    values = read_stack(stack, len(depth_m), datasets or ())
-    if channels is not None and channels != len(values):
-        raise InputError.single(str(stack), "--channels", f"{channels}", f"{len(values)}", "name them with --dataset")
-    try:
+    with _faults_of_options(stack):
+        values = read_stack(stack, len(depth_m), datasets or ())
+        if channels is not None and channels != len(values):
+            remedy = "name them with --dataset"
+            raise InputError.single(str(stack), "--channels", f"{channels}", f"{len(values)}", remedy)
         psf, figures = psf_of_stack(
             lowest_row_first(values) if first_row == "top" else values,
             depth_m,
@@ -253,16 +276,19 @@ def import_command(
             integrated=not sampled,
             split_lens=split_lens,
         )
-    except InputError as error:  # its faults are named by the arguments of the function
-        options = {"zero_m", "split_lens", "split_um", "distance_mm"}
-        names = {"depths": "--depths", "centring": "--centre"} | {
-            name: f"--{name.replace('_', '-')}" for name in options
-        }
-        faults = [replace(fault, field=names.get(fault.field, fault.field)) for fault in error.faults]
-        raise InputError(str(stack), faults) from error
-    optics.save(psf, path, inputs_sha256=fingerprint(file_sha256(stack), plain(figures)))
+    optics.save(psf, output, inputs_sha256=fingerprint(file_sha256(stack), plain(figures)))
     announce([*(f"made: {sentence}" for sentence in figures.made), *figures.warnings])
-    show(figures, json_, file=path)
+    show(figures, json_, file=output)
+
+
+@contextmanager
+def _faults_of_options(stack: Path) -> Iterator[None]:
+    """Name the arguments of faults by the options, and the error by the file of the stack."""
+    try:
+        yield
+    except InputError as error:
+        faults = [replace(fault, field=_OPTIONS.get(fault.field, fault.field)) for fault in error.faults]
+        raise InputError(str(stack), faults) from error
 
 
 def _depths_m(words: list[str]) -> FloatArray:

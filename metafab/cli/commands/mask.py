@@ -14,12 +14,12 @@ from metafab.cli.app import (
     DesignOption,
     Json,
     LayoutFile,
-    OutputFolder,
     Workers,
     app,
     open_job,
 )
 from metafab.cli.console import announce, exit_on_violations, open_work, show
+from metafab.cli.outputs import OutputFolder
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:

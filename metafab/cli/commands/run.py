@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import os
 import time
-from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metafab.cli.again import pages
-from metafab.cli.app import Cluster, DesignFile, Json, OutputFolder, Workers, app, open_job
+from metafab.cli.app import Cluster, DesignFile, Json, Workers, app, open_job
 from metafab.cli.console import announce, coverage_warning, exit_on_violations, open_work, show
+from metafab.cli.headlines import headlines
+from metafab.cli.outputs import OutputFolder
+from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
     from metafab.core.storage.rerun import Marks
     from metafab.spec import Design
     from metafab.steps import RunSummary
-    from metafab.steps.layout import LayoutFigures
-    from metafab.steps.library import LibraryFigures
 
 
 @app.command("new")
@@ -39,7 +38,7 @@ def new_command(
     ] = None,
     substrate: Annotated[str | None, typer.Option(help="Substrate material [default: SiO2].")] = None,
     shape: Annotated[str | None, typer.Option(help="Pillar shape: rectangle, circle, ellipse, cross or ring.")] = None,
-    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the files.")] = Path(),
+    output: OutputFolder = None,
     json_: Json = False,
 ) -> None:
     """Write a commented design file to start from; without a kind, list the kinds.
@@ -47,7 +46,6 @@ def new_command(
     With --wavelength-nm and --material, a unit cell NAME_cell.toml that fits them is written, too.
     """
     from metafab.cell.starting import starting_cell
-    from metafab.core.errors import InputError
     from metafab.core.storage.files import whole_file
     from metafab.spec import kinds, write_new
     from metafab.spec.new import NewLens
@@ -55,14 +53,14 @@ def new_command(
     if name is None or kind is None:
         show(kinds(), json_)
         return
-    files: list[Path] = []
+    folder, files = output or Path(), list[Path]()
     lens = None if na is None and aperture_um is None else NewLens(0.2 if na is None else na, aperture_um or 100.0)
     if any(given is not None for given in (wavelength_nm, material, substrate, shape)):
         if wavelength_nm is None or material is None or library is not None:
             expected = "--wavelength-nm and --material together for a new unit cell, or --library for one of your own"
             got = "--library beside them" if library is not None else "one of them"
             raise InputError.single("new", "unit cell", expected, got)
-        library = output / f"{name}_cell.toml"
+        library = folder / f"{name}_cell.toml"
         if library.exists():
             raise InputError.single(str(library), "file", "a name that is free", "a file", "choose another name")
         cell = starting_cell(
@@ -71,15 +69,14 @@ def new_command(
             substrate=substrate or "SiO2",
             shape=shape or "rectangle",
             numerical_aperture=0.0 if lens is None else lens.numerical_aperture,
-            folder=output,
+            folder=folder,
         )
-        output.mkdir(parents=True, exist_ok=True)
         with whole_file(library) as part:
             part.write_text(cell.text, encoding="utf-8")
         files = [library]
         announce(coverage_warning(cell.reach_rad))
     try:
-        written = write_new(name, kind, output, library, lens)
+        written = write_new(name, kind, folder, library, lens)
     except InputError:
         for path in files:
             path.unlink()
@@ -177,70 +174,6 @@ def _keep_answer(
         return  # A file is gone, or the folder is read-only: the next run checks every step.
 
 
-def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
-    """Return the most important figures of a run and the path of its report, as text by label."""
-    lines: dict[str, str] = {}
-    if (library := summary.library) is not None:
-        lines |= _library_error(library, summary.layout)
-        lines["phase reach"] = f"{library.coverage_rad:.3g} rad"
-    if (phase := summary.phase) is not None:
-        if phase.peak_gain is not None:
-            lines["peak gain"] = f"{phase.peak_gain:.3g}"
-        if summary.picture is not None:
-            lines["hologram"] = f"{100.0 * summary.picture[0]:.1f} % of the light {summary.picture[1]}"
-        if phase.hologram_correlation is not None:
-            lines["likeness"] = f"{phase.hologram_correlation:.3f} (correlation with the picture)"
-    if (layout := summary.layout) is not None:
-        lines["pillars"] = f"{layout.pillars:,}".replace(",", " ")
-        lines["phase error"] = f"{layout.phase_rms_error_rad:.3g} rad rms"
-        lines["transmittance"] = f"{100.0 * layout.mean_transmittance:.1f} %"
-    if (drc := summary.drc) is not None:
-        if drc.min_gap_nm is not None:
-            lines["smallest gap"] = f"{drc.min_gap_nm:g} nm"
-        lines["rules broken"] = str(summary.violations)
-    if (printed := summary.exposure) is not None:
-        corrected = printed.corrected_rms_nm
-        after = "" if corrected is None else f", {corrected:.2g} nm with corrected doses or shapes"
-        left_out = f" (without {printed.unprinted} pillars that do not print)" if printed.unprinted else ""
-        plain = f"{printed.cd_error_rms_nm:.2g} nm off (rms) with one dose{left_out}"
-        lines["printed sizes"] = ("no pillar prints with one dose" if isnan(printed.cd_error_rms_nm) else plain) + after
-    if (psf := summary.psf) is not None:
-        efficiency = sum(psf.efficiency_x) / len(psf.efficiency_x)
-        lines["PSF error"] = f"{max(psf.error):.2g} at most (relative L2)"
-        lines["efficiency"] = f"{100.0 * efficiency:.1f} % in the window (x)"
-    lines |= {} if summary.orders is None else {summary.orders.label: summary.orders.sentence}
-    has_zones = phase is not None and phase.peak_gain is not None
-    has_bandwidth = summary.study is not None and summary.study.bandwidth is not None
-    if summary.merit is not None and (has_zones or has_bandwidth):
-        lines["rotation"] = f"{summary.merit.rotation_deg:.1f} degrees over the depths"
-    if summary.decode is not None and summary.decode.nmae is not None:
-        lines["depth error"] = f"{100.0 * summary.decode.nmae:.2g} % mean"
-    return lines | _times(summary) | pages(folder)
-
-
-def _times(summary: RunSummary) -> dict[str, str]:
-    """Time of the steps that ran, and of those that were skipped because nothing had changed, when they ran last."""
-    from metafab.steps.summary import UNCHANGED
-
-    unchanged = {entry.step for entry in summary.skipped if entry.why == UNCHANGED}
-    spent_s = sum(seconds for step, seconds in summary.seconds.items() if step not in unchanged)
-    lines = {"time": f"{spent_s:.3g} s in the steps that ran"}
-    if unchanged:
-        # A run that was interrupted leaves no times.
-        saved_s = [summary.seconds[step] for step in unchanged if step in summary.seconds]
-        took = f", which took {sum(saved_s):.3g} s when they last ran" if len(saved_s) == len(unchanged) else ""
-        lines["skipped"] = f"unchanged steps: {len(unchanged)}{took}"
-    return lines
-
-
-def _library_error(library: LibraryFigures, layout: LayoutFigures | None) -> dict[str, str]:
-    """Error of the sizes that the mask uses, weighted by pillars, beside the worst of them."""
-    if layout is not None and layout.library_error is not None:
-        worst = f"{layout.worst_library_error:.2g} at worst"
-        return {"library error": f"{layout.library_error:.2g} of complex t (rms over the pillars), {worst}"}
-    return {} if isnan(library.max_error) else {"library error": f"{library.max_error:.2g} of complex t at most"}
-
-
 @app.command("stokes")
 def stokes_command(
     design: DesignFile,
@@ -257,7 +190,6 @@ def stokes_command(
 ) -> None:
     """Simulate full-Stokes imaging with a camera design: turned pillars, six images, Stokes vectors and depth."""
     from metafab import report
-    from metafab.core.errors import InputError
     from metafab.steps.stokes import full_stokes
 
     if angles % 4:

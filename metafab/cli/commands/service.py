@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from metafab.cli.app import Json, OutputFolder, app
+from metafab.cli.app import Json, app
 from metafab.cli.console import progress_bars, show
+from metafab.cli.outputs import OutputFolder
 
 
 @app.command("report")

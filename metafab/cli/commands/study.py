@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from metafab.cli.app import DesignFile, Json, Output, OutputFolder, app, open_job, require_finite, require_positive
+from metafab.cli.app import DesignFile, Json, app, open_job, require_finite, require_positive
 from metafab.cli.console import announce, open_work, show
+from metafab.cli.outputs import Output, OutputFolder
 from metafab.core.errors import InputError
 
 

@@ -9,7 +9,7 @@ import os
 import re
 import secrets
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import partial
@@ -48,44 +48,11 @@ def whole_file(path: Path) -> Iterator[Path]:
 _PART = re.compile(r"\..+\.(\d+)-[0-9a-f]{6}\.part")
 
 
-def require_hdf5_name(path: Path) -> None:
-    """Check that an output name ends with an HDF5 suffix; InputError for neither .h5 nor .hdf5."""
-    if path.suffix.lower() not in HDF5_SUFFIXES:
-        raise InputError.single(str(path), "output", "a name ending with .h5", repr(path.suffix))
-
-
-def require_file_output(path: Path, read: Iterable[Path] = ()) -> None:
-    """Refuse the name of a folder for a result that is one file, and what :func:`require_output` refuses."""
-    require_output(path, read)
-    if path.is_dir():
-        raise InputError.single("--output", "output", "the name of a file", f"the folder {path}", "name a file in it")
-
-
-def require_folder_output(path: Path, read: Iterable[Path] = ()) -> None:
-    """Refuse the name of a file for a result that is a folder, and what :func:`require_output` refuses."""
-    require_output(path, read)
-    if path.exists() and not path.is_dir():
-        raise InputError.single("--output", "output", "a folder, old or new", f"the file {path}", "name another")
-
-
-def require_output(path: Path, read: Iterable[Path] = ()) -> None:
-    """Refuse the place of a result before the work: InputError for one of the files ``read``, or a closed place.
-
-    A file without a name is made in the nearest folder that exists: rights alone do not show what root cannot write.
-    """
-    from tempfile import TemporaryFile  # a command without a result does not need it
-
-    try:
-        is_read = path.is_file() and any(each.is_file() and each.samefile(path) for each in read)
-        folder = path if path.is_dir() else next(each for each in path.absolute().parents if each.exists())
-        with TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        expected, got = "a place that can be written", f"{path} ({error.strerror})"
-        raise InputError.single("--output", "output", expected, got, "name another") from error
-    if is_read:
-        expected, got = "a file of its own", f"{path}, which is read"
-        raise InputError.single("--output", "output", expected, got, "name another")
+def require_file(path: Path, expected: str, remedy: str = "check the path") -> None:
+    """Check that a file to read exists; InputError for a folder, and where nothing is."""
+    if not path.is_file():
+        got = "a folder" if path.is_dir() else "no file at that path"
+        raise InputError.single(str(path), "file", expected, got, remedy)
 
 
 def clear_parts(folder: Path) -> None:

@@ -16,7 +16,7 @@ import zlib
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, NoReturn
+from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, DTypeLike
 
 from metafab import __version__
 from metafab.core.errors import InputError
-from metafab.core.storage.files import whole_file
+from metafab.core.storage.files import require_file, whole_file
 from metafab.core.storage.limits import beyond, limit
 
 
@@ -137,9 +137,7 @@ def open_kind(path: Path | str, *, kind: str, format_version: int, remedy: str) 
     :func:`require_modest`.
     """
     path, expected = Path(path), f"a {kind} file (HDF5, format {format_version} or older)"
-    if not path.is_file():
-        got = "a folder" if path.is_dir() else "nothing at that path"
-        raise InputError.single(str(path), "file", expected, got, remedy)
+    require_file(path, expected, remedy)
     try:
         if _damaged(path):
             got = "a damaged file (its bytes are not those that were written)"
@@ -220,12 +218,27 @@ def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None
     """
     file_bytes = path.stat().st_size
     most = limit("memory_mb", (_BUDGET_BYTES + _EXPANSION * max(0, file_bytes - _SMALL_FILE_BYTES)) / 1e6)
-    arrays = besides = 0
     most_chunks = _MOST_CHUNKS + file_bytes // 1024
+    arrays = besides = 0
+    for name, item in _datasets(file, path):
+        if names is not None and name not in names:
+            continue
+        _require_plain(name, item, path)
+        chunk = item.chunks or (1,) * item.ndim
+        chunks = math.prod(-(-side // part) for side, part in zip(item.shape, chunk, strict=True))
+        if item.chunks and chunks > most_chunks:
+            raise _distrusted(path, name, f"at most {most_chunks} chunks", f"{chunks} chunks of shape {chunk}")
+        item_bytes = max(item.dtype.itemsize, 1)
+        arrays += max(item.size, math.prod(chunk)) * item_bytes
+        buffers = _BUFFERS_OF_A_CHUNK * math.prod(chunk) * item_bytes if item.compression else 0
+        besides = max(besides, item.size * max(item_bytes, _BYTES_OF_A_FLOAT) + buffers)
+        if arrays + besides > most * 1e6:
+            expected = f"at most {most:.0f} MB of arrays and their copies in a file of {file_bytes / 1e6:.3g} MB"
+            raise beyond(str(path), name, "memory_mb", expected, f"shape {item.shape} in chunks of {item.chunks}")
 
-    def refuse(name: str, expected: str, got: str) -> NoReturn:
-        raise InputError.single(str(path), name, expected, got, "is the file from a source that you trust?")
 
+def _datasets(file: h5py.File, path: Path) -> Iterator[tuple[str, h5py.Dataset]]:
+    """Absolute names of all datasets, each once; InputError for links to elsewhere, and too many objects."""
     objects = 0
     visited, waiting = set[int](), [file["/"]]
     while waiting:
@@ -234,9 +247,9 @@ def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None
             name = f"{group.name.rstrip('/')}/{key}"
             objects += 1
             if objects > _MOST_OBJECTS:
-                refuse(name, f"at most {_MOST_OBJECTS} groups and datasets", "more")
+                raise _distrusted(path, name, f"at most {_MOST_OBJECTS} groups and datasets", "more")
             if not isinstance(group.get(key, getlink=True), h5py.HardLink):
-                refuse(name, "content of the file itself", "a soft or external link")
+                raise _distrusted(path, name, "content of the file itself", "a soft or external link")
             item = group[key]
             address = h5py.h5o.get_info(item.id).addr
             if address in visited:
@@ -244,26 +257,22 @@ def require_modest(file: h5py.File, path: Path, *, names: Collection[str] | None
             visited.add(address)
             if isinstance(item, h5py.Group):
                 waiting.append(item)
-                continue
-            if not isinstance(item, h5py.Dataset) or (names is not None and name not in names):
-                continue
-            if item.external or item.is_virtual:
-                refuse(name, "content of the file itself", "an external or virtual dataset")
-            parts = [kind for kind, *_ in (item.dtype.fields or {}).values()]
-            is_complex = len(parts) == 2 and all(part.kind == "f" and not part.subdtype for part in parts)
-            if (item.dtype.kind not in "biufcS" and not is_complex) or item.shape is None:
-                refuse(name, "an array of numbers or bytes", f"{item.dtype} of shape {item.shape}")
-            chunk = item.chunks or (1,) * item.ndim
-            chunks = math.prod(-(-side // part) for side, part in zip(item.shape, chunk, strict=True))
-            if item.chunks and chunks > most_chunks:
-                refuse(name, f"at most {most_chunks} chunks", f"{chunks} chunks of shape {chunk}")
-            item_bytes = max(item.dtype.itemsize, 1)
-            arrays += max(item.size, math.prod(chunk)) * item_bytes
-            buffers = _BUFFERS_OF_A_CHUNK * math.prod(chunk) * item_bytes if item.compression else 0
-            besides = max(besides, item.size * max(item_bytes, _BYTES_OF_A_FLOAT) + buffers)
-            if arrays + besides > most * 1e6:
-                expected = f"at most {most:.0f} MB of arrays and their copies in a file of {file_bytes / 1e6:.3g} MB"
-                raise beyond(str(path), name, "memory_mb", expected, f"shape {item.shape} in chunks of {item.chunks}")
+            elif isinstance(item, h5py.Dataset):
+                yield name, item
+
+
+def _require_plain(name: str, item: h5py.Dataset, path: Path) -> None:
+    """Check that a dataset holds numbers or bytes, in the file itself."""
+    if item.external or item.is_virtual:
+        raise _distrusted(path, name, "content of the file itself", "an external or virtual dataset")
+    parts = [kind for kind, *_ in (item.dtype.fields or {}).values()]
+    is_complex = len(parts) == 2 and all(part.kind == "f" and not part.subdtype for part in parts)
+    if (item.dtype.kind not in "biufcS" and not is_complex) or item.shape is None:
+        raise _distrusted(path, name, "an array of numbers or bytes", f"{item.dtype} of shape {item.shape}")
+
+
+def _distrusted(path: Path, name: str, expected: str, got: str) -> InputError:
+    return InputError.single(str(path), name, expected, got, "is the file from a source that you trust?")
 
 
 #: Bytes of all arrays in a file of up to ``_SMALL_FILE_BYTES``, and bytes more for each byte of a larger file.

@@ -17,6 +17,7 @@ import numpy as np
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
+from metafab.core.storage.files import require_file
 from metafab.core.storage.limits import beyond, limit
 
 if TYPE_CHECKING:
@@ -88,9 +89,7 @@ def read_array(path: Path) -> np.ndarray:
     kind = _SUFFIXES.get(path.suffix.lower())
     if kind is None:
         raise InputError.single(str(path), "file", "a .tif, .tiff, .png, .npy or .npz file", repr(path.suffix), _REMEDY)
-    if not path.is_file():
-        got = "a folder" if path.is_dir() else "no file at that path"
-        raise InputError.single(str(path), "file", f"a {kind} file", got, "check the path")
+    require_file(path, f"a {kind} file")
     if not path.stat().st_size:
         raise InputError.single(str(path), "file", f"a readable {kind} file", "an empty file", "was it written whole?")
     try:

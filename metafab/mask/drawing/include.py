@@ -132,39 +132,63 @@ def _read(design: Design, number: int, item: Include) -> IncludedCell:
         raise InputError.single(design.name, f"{key}.cell", expected, repr(name))
     unit_nm = design.mask.database_unit_nm
     shift = np.array([whole_dbu(at_um * 1e3, unit_nm, f"{key}.at_um") for at_um in item.at_um])
-    per_unit = library.unit * 1e9 / unit_nm
-    polygons, texts, present = [], [], set()
     with limited(**design.stated_limits):
         _require_bounded(found[name], design.name, f"{key}.file")
-    for polygon in found[name].get_polygons(apply_repetitions=True, include_paths=True):
-        exact = np.asarray(polygon.points) * per_unit
+    polygons = _polygons(design, key, found[name], library.unit)
+    texts = _texts(design, key, found[name], library.unit)
+    if not polygons:
+        raise InputError.single(design.name, f"{key}.cell", "a cell with shapes", f"{name}, which holds none")
+    present = {f"{each.layer}/{each.datatype}" for each in polygons} | {f"{each.layer}/{each.kind}" for each in texts}
+    if absent := sorted(set(item.layers) - present):
+        expected = f"layers of cell {name}: {', '.join(sorted(present))}"
+        raise InputError.single(design.name, f"{key}.layers", expected, ", ".join(absent))
+
+    def drawn_on(layer: int, kind: int) -> tuple[int, int]:
+        """Layer and datatype, or text type, in the written file."""
+        source = f"{layer}/{kind}"
+        layer, kind = (int(part) for part in item.layers.get(source, source).split("/"))
+        return layer, kind
+
+    placed = [IncludedPolygon(*drawn_on(p.layer, p.datatype), p.corners + shift) for p in polygons]
+    labels = [IncludedText(*drawn_on(t.layer, t.kind), _moved(t.at_dbu, shift), t.words) for t in texts]
+    return IncludedCell(item.file.name, name, tuple(placed), tuple(labels))
+
+
+def _moved(place: tuple[int, int], shift: IntArray) -> tuple[int, int]:
+    x, y = (np.array(place) + shift).tolist()
+    return x, y
+
+
+def _polygons(design: Design, key: str, cell: gdstk.Cell, unit_m: float) -> list[IncludedPolygon]:
+    """Polygons of a cell and of all that it places, on their layers in its file."""
+    unit_nm, polygons = design.mask.database_unit_nm, []
+    for polygon in cell.get_polygons(apply_repetitions=True, include_paths=True):
+        exact = np.asarray(polygon.points) * (unit_m * 1e9 / unit_nm)
         corners = np.rint(exact).astype(np.int64)
         if np.abs(exact - corners).max() > _ON_GRID:
             worst = polygon.points[int(np.abs(exact - corners).max(axis=1).argmax())]
             expected = f"corners on the grid of {unit_nm:g} nm"
-            got = f"({worst[0]:g}, {worst[1]:g}) of cell {name}, in units of {library.unit:g} m"
+            got = f"({worst[0]:g}, {worst[1]:g}) of cell {cell.name}, in units of {unit_m:g} m"
             remedy = "choose a finer `database_unit_nm`, or round turned and scaled references in the file"
             raise InputError.single(design.name, f"{key}.file", expected, got, remedy)
         if len(corners) > _MOST_CORNERS:
             expected = f"polygons of at most {_MOST_CORNERS} corners"
             raise InputError.single(design.name, f"{key}.file", expected, f"{len(corners)}", "fracture the cell")
-        present.add(source := f"{polygon.layer}/{polygon.datatype}")
-        layer, datatype = (int(part) for part in item.layers.get(source, source).split("/"))
-        polygons.append(IncludedPolygon(layer, datatype, corners + shift))
-    for label in found[name].get_labels(apply_repetitions=True):
+        polygons.append(IncludedPolygon(polygon.layer, polygon.datatype, corners))
+    return polygons
+
+
+def _texts(design: Design, key: str, cell: gdstk.Cell, unit_m: float) -> list[IncludedText]:
+    """Texts of a cell and of all that it places, on their layers in its file."""
+    texts = []
+    for label in cell.get_labels(apply_repetitions=True):
         if not (label.text.isascii() and label.text.isprintable() and 0 < len(label.text) <= _LONGEST_TEXT):
             expected = f"texts of 1 to {_LONGEST_TEXT} printable ASCII characters"
             raise InputError.single(design.name, f"{key}.file", expected, repr(label.text[:40]), "change or remove it")
-        present.add(source := f"{label.layer}/{label.texttype}")
-        layer, kind = (int(part) for part in item.layers.get(source, source).split("/"))
-        x, y = (np.rint(np.array(label.origin) * per_unit).astype(np.int64) + shift).tolist()
-        texts.append(IncludedText(layer, kind, (x, y), label.text))
-    if not polygons:
-        raise InputError.single(design.name, f"{key}.cell", "a cell with shapes", f"{name}, which holds none")
-    if absent := sorted(set(item.layers) - present):
-        expected = f"layers of cell {name}: {', '.join(sorted(present))}"
-        raise InputError.single(design.name, f"{key}.layers", expected, ", ".join(absent))
-    return IncludedCell(item.file.name, name, tuple(polygons), tuple(texts))
+        at = np.array(label.origin) * (unit_m * 1e9 / design.mask.database_unit_nm)
+        x, y = np.rint(at).astype(np.int64).tolist()
+        texts.append(IncludedText(label.layer, label.texttype, (x, y), label.text))
+    return texts
 
 
 def _require_bounded(cell: gdstk.Cell, source: str, field: str) -> None:

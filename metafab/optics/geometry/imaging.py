@@ -13,7 +13,7 @@ from metafab.core.errors import InputError
 from metafab.materials import refractive_index
 from metafab.optics.geometry.crystal import Crystal
 from metafab.optics.geometry.plate import Plate
-from metafab.phase.build import mean_direction
+from metafab.phase.slopes import mean_direction
 from metafab.spec import Design
 from metafab.spec.terms import Grating
 

@@ -37,13 +37,12 @@ class Centre:
         if self.error_px > _TOLD_ERROR_PX:
             return (
                 f"the centre of the circle on which the lobe turns is known to {self.error_px:.2g} px, and depth moves "
-                "with it: photograph over more of a turn, with more light, or centre the pictures yourself "
-                "(`--centre none`)"
+                "with it: photograph over more of a turn, with more light, or centre the pictures yourself"
             )
         if self.drift_px > _TOLD_DRIFT_PX:
             return (
                 f"the light moves by {self.drift_px:.2g} px over the depths, but on no circle: the mean centre of mass "
-                "was taken, and depth moves with it; photograph over more of a turn, or choose `--centre`"
+                "was taken, and depth moves with it; photograph over more of a turn, or choose another centre"
             )
         return None
 

@@ -18,10 +18,11 @@ from metafab.steps.optics.pairs import (
     save_psf,
     scene_pair,
 )
-from metafab.steps.optics.sources import ideal_source, lit_source, mask_source, written_light
+from metafab.steps.optics.sources import WrittenLens, ideal_source, lit_source, mask_source, written_light
 
 __all__ = [
     "PSF",
+    "WrittenLens",
     "PairFigures",
     "PsfFigures",
     "calibration",

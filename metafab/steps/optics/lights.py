@@ -14,6 +14,7 @@ from metafab.steps.layout import mask_paths
 from metafab.steps.optics.figures import PairFigures
 from metafab.steps.optics.merit import focus_figures
 from metafab.steps.optics.pairs import pair_figures, point_spread, save_psf
+from metafab.steps.optics.sources import WrittenLens
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,10 @@ def _at_light(job: Job, light: Light) -> LightFigures:
     from metafab.optics import Imaging
 
     alone, mask_path = job.at_light(light), mask_paths(job)[-1]
+    lens = WrittenLens(mask_path)
     tangent = light_tangent(alone.design, light) if light.angles_deg else None
-    (written, light_at_um), (ideal, _) = (point_spread(alone, path, tangent=tangent) for path in (mask_path, None))
-    save_psf(alone, written, mask_path, _light_path(job, light))
+    (written, light_at_um), (ideal, _) = (point_spread(alone, each, tangent=tangent) for each in (lens, None))
+    save_psf(alone, written, lens, _light_path(job, light))
     is_focus = alone.design.is_lens and tangent is None
     return LightFigures(
         wavelength_nm=light.wavelength_nm,

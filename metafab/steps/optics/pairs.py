@@ -1,7 +1,6 @@
 """PSF pairs of the written mask and of the target phases, and the step ``psf``.
 
-In all functions ``path`` is a mask file, or None for the target phases. ``copy`` is the number of the lens in a file
-that holds several, from 1. ``printed`` selects the pillars that ``[process]`` makes; None for those of the file.
+In all functions ``lens`` holds the pillars; None stands for the target phases.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ from metafab.core.parallel.work import Work
 from metafab.core.storage.files import file_sha256, fingerprint
 from metafab.core.storage.provenance import contents_sha256
 from metafab.spec import Design, Scene
-from metafab.steps.exposure import Printed
 from metafab.steps.job import Job, Step, in_folder
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import library_path, neighbour_warning, open_library
 from metafab.steps.optics.figures import PairFigures, PsfFigures
 from metafab.steps.optics.sources import (
+    WrittenLens,
     ideal_source,
     joint_error,
     light_over_field,
@@ -52,32 +51,25 @@ _LIT_BY = "`optics.neighbours`, by which the PSFs are computed"
 
 def point_spread(
     job: Job,
-    path: Path | None,
+    lens: WrittenLens | None,
     *,
     depths_m: tuple[float, ...] | None = None,
     object_mm: tuple[float, float] = (0.0, 0.0),
     pixel_um: float | None = None,
     window_px: int | None = None,
     target_error: float | None = None,
-    copy: int = 1,
     centre_um: tuple[float, float] | None = None,
-    printed: Printed | None = None,
-    sizes: Path | None = None,
     tangent: tuple[float, float] | None = None,
 ) -> tuple[Psf, Places | None]:
-    """PSF pair of a written file, or of the target phases, and where its light is if a window misses it.
+    """PSF pair of a lens, or of the target phases, and where its light is if a window misses it.
 
     Args:
-        path: the mask file; None for the target phases.
         depths_m: object depths in increasing order; None for those of ``[verify]``, as for the window and the error.
         object_mm: object position (x, y), mm from the axis.
         pixel_um: sampling step; None for the pixel of the sensor.
         window_px: side of the window, pixels.
         target_error: largest relative L2 error.
-        copy: number of the lens in a file that holds several, from 1.
         centre_um: centre of the window on the sensor, um from the axis; None for the image point of the design.
-        printed: pillars as ``[process]`` makes them; None for those of the file.
-        sizes: table of measured sizes (:func:`metafab.optics.sources.measured.with_measured_sizes`); None for none.
         tangent: direction (x/z, y/z) of the object at every depth, in place of ``object_mm``.
 
     Raises:
@@ -99,8 +91,8 @@ def point_spread(
     x_mm, y_mm = object_mm
     if (x_mm, y_mm) != (0.0, 0.0) and math.inf in depths_m:
         expected = "an object at a finite depth"
-        remedy = "leave inf out of --depths-m: a position in mm is no direction there"
-        raise InputError.single("psf", "--object-mm", expected, f"{x_mm:g} {y_mm:g} mm at infinity", remedy)
+        remedy = "leave `inf` out of the depths: a position in mm is no direction there"
+        raise InputError.single("psf", "object_mm", expected, f"{x_mm:g} {y_mm:g} mm at infinity", remedy)
     # On the axis, all depths lie in one direction and share one pass over the pillars.
     numerics = optics.PsfNumerics(
         window_px=window_px,
@@ -112,7 +104,7 @@ def point_spread(
     tangents = [tangent or (1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
     for depths, direction in zip(passes, tangents, strict=True):
         require_valid(imaging, depths, direction, None, numerics)  # before the mask is read
-    source, made_error = source_of(job, path, copy, printed, sizes, tangents=tangents)
+    source, made_error = source_of(job, lens, tangents=tangents)
     stacks = [
         optics.psf(source, imaging, depths, numerics, tangent=tangent, work=job.work)
         for depths, tangent in zip(passes, tangents, strict=True)
@@ -121,14 +113,14 @@ def point_spread(
     return _stating(concatenate(stacks), made_error), light_elsewhere(source, imaging, stacks[middle], tangents[middle])
 
 
-def calibration(job: Job, path: Path | None, *, copy: int = 1, printed: Printed | None = None) -> Psf:
+def calibration(job: Job, lens: WrittenLens | None) -> Psf:
     """PSF pair over the depths and the field of the design's scene, as a run computes it for the decoder.
 
     InputError if the design has no scene.
     """
     if job.design.scene is None:
         raise InputError.single(job.design.name, "scene", "one, whose depths and field are covered", "none", "add it")
-    source, made_error = source_of(job, path, copy, printed)
+    source, made_error = source_of(job, lens)
     return _stating(_calibration(job, source), made_error)
 
 
@@ -148,7 +140,7 @@ def calibration_depths(design: Design, imaging: Imaging, target_error: float | N
     return tuple(sorted({*design.verify.depths_m, *(float(z) for z in nodes)}))
 
 
-def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1, printed: Printed | None = None) -> Psf:
+def scene_pair(job: Job, lens: WrittenLens | None, scene: Scene) -> Psf:
     """PSF pair at the exact depths and directions of a scene, in all of its frames, without interpolation over depth.
 
     The scene of the design is not used.
@@ -157,30 +149,24 @@ def scene_pair(job: Job, path: Path | None, scene: Scene, *, copy: int = 1, prin
     from metafab.camera.exact import EXACT, scene_reach
 
     imaging = optics.Imaging.of(job.design)
-    source, made_error = source_of(job, path, copy, printed, tangents=[scene_reach(scene, imaging)])
+    source, made_error = source_of(job, lens, tangents=[scene_reach(scene, imaging)])
     numerics = replace(EXACT, filter_fwhm_nm=filter_fwhm_nm(job.design), vectorial=job.design.verify.vectorial)
     pair = camera.exact_psf(scene, source, imaging, numerics, work=Work(progress=job.work.progress))
     return _stating(pair, made_error)
 
 
-def save_psf(
-    job: Job,
-    psf: Psf,
-    mask_path: Path | None,
-    path: Path,
-    copy: int = 1,
-    printed: Printed | None = None,
-    sizes: Path | None = None,
-) -> None:
-    """Write a PSF pair with the fingerprint of its mask (None for target phases) and of the design."""
+def save_psf(job: Job, psf: Psf, lens: WrittenLens | None, path: Path) -> None:
+    """Write a PSF pair with the fingerprint of its lens and of the design."""
     from metafab import optics
 
     design = job.design
-    source = design.phase if mask_path is None else [file_sha256(mask_path), file_sha256(library_path(job)), copy]
-    if printed is not None:
-        source = [source, printed, design.process]
-    if sizes is not None:
-        source = [source, file_sha256(sizes)]
+    source: Any = design.phase
+    if lens is not None:
+        source = [file_sha256(lens.path), file_sha256(library_path(job)), lens.copy]
+        if lens.printed is not None:
+            source = [source, lens.printed, design.process]
+        if lens.sizes is not None:
+            source = [source, file_sha256(lens.sizes)]
     sampling: list[Any] = [psf.depth_m, psf.centre_um, psf.pixel_um, psf.psf.shape, psf.sensor_distance_um]
     if design.optics is not None:
         sampling += [design.optics, contents_sha256(design.optics)]
@@ -227,9 +213,13 @@ def _verified_psf(job: Job) -> Callable[..., Psf]:
 
 
 def pair_figures(job: Job, pair: Psf, light_at_um: Places | None = None) -> PairFigures:
-    """Figures of all depths of a pair; they warn of a model of neighbours that gave its light and does not pay."""
-    warning = None if pair.neighbours is None else neighbour_warning(open_library(job), _LIT_BY)
-    return replace(PairFigures.of(pair, light_at_um), neighbour_warning=warning)
+    """Figures of all depths of a pair, with their warnings."""
+    return replace(PairFigures.of(pair, light_at_um), neighbour_warning=_neighbour_warning(job, pair))
+
+
+def _neighbour_warning(job: Job, pair: Psf) -> str | None:
+    """Sentence about a model of neighbours that gave the light of a pair and does not pay."""
+    return None if pair.neighbours is None else neighbour_warning(open_library(job), _LIT_BY)
 
 
 def _calibration(job: Job, source: Source) -> Psf:
@@ -262,7 +252,7 @@ def _psf_files(job: Job) -> tuple[Path, ...]:
 
 
 def _psf(job: Job) -> PsfFigures:
-    from metafab.optics import Imaging, NeighbourField
+    from metafab.optics import Imaging
     from metafab.optics.measures.landing import light_elsewhere
     from metafab.optics.sources.oblique import ObliqueField
 
@@ -273,7 +263,7 @@ def _psf(job: Job) -> PsfFigures:
     seen = None if pillars is None else light_over_field(job, pillars)
     source = ideal_light if seen is None else lit_source(job, seen)
     written = _calibration(job, source)
-    save_psf(job, written, mask_path, job.folder / "psf.h5")
+    save_psf(job, written, None if mask_path is None else WrittenLens(mask_path), job.folder / "psf.h5")
     ideal = None
     if design.has_mask:
         ideal = psf_of(ideal_light, depths_m=design.verify.depths_m)
@@ -286,11 +276,10 @@ def _psf(job: Job) -> PsfFigures:
         depth_interpolation_error=_depth_interpolation_error(written, verified),
         light_at_um=light_elsewhere(source, Imaging.of(design), written),
     )
-    is_among = isinstance(pillars, NeighbourField)
     return replace(
         figures,
-        with_neighbours=is_among or None,
-        neighbour_warning=neighbour_warning(open_library(job), _LIT_BY) if is_among else None,
+        with_neighbours=written.neighbours is not None or None,
+        neighbour_warning=_neighbour_warning(job, written),
         joint_error=joint_error(job, pillars),
         oblique_error=None if seen is None else oblique_error(job, seen),
         oblique_change=seen.change.change if isinstance(seen, ObliqueField) else None,

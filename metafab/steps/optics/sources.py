@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -37,6 +38,17 @@ _AMONG: Latest[NeighbourField] = Latest()
 _OBLIQUE: Latest[ObliqueChange | None] = Latest()
 #: Its error where it is left out, likewise.
 _OBLIQUE_ERROR: Latest[float | None] = Latest()
+
+
+@dataclass(frozen=True)
+class WrittenLens:
+    """The pillars of a lens in a written file: as drawn, as the process prints them, or as they were measured."""
+
+    path: Path  #: Mask file.
+    copy: int = 1  #: Number of the lens in a file that holds several, from 1.
+    printed: Printed | None = None  #: Doses with which ``[process]`` prints the pillars; None for those of the file.
+    #: Table of measured sizes (:func:`metafab.optics.sources.measured.with_measured_sizes`); None likewise.
+    sizes: Path | None = None
 
 
 def mask_source(job: Job, path: Path, copy: int = 1, angles: int | None = None) -> WrittenField:
@@ -186,29 +198,21 @@ def lit_source(job: Job, source: Source) -> Source:
     return optics.apodised(source, optics.Apodisation.of(job.design))
 
 
-def source_of(
-    job: Job,
-    path: Path | None,
-    copy: int,
-    printed: Printed | None,
-    sizes: Path | None = None,
-    *,
-    tangents: Sequence[Tangent] = (),
-) -> tuple[Source, float]:
-    """Pillars and their light; relative error of the amplitudes of made pillars, NaN for others.
+def source_of(job: Job, lens: WrittenLens | None, *, tangents: Sequence[Tangent] = ()) -> tuple[Source, float]:
+    """Light of a lens, or of the target phases (None); relative error of printed pillars' amplitudes, NaN for others.
 
     ``tangents`` are the directions from which light is needed, by default those of the scene's field. The light of made
     and of measured pillars is the same from all directions.
     """
-    if path is None:
+    if lens is None:
         return lit_source(job, ideal_source(job)), math.nan
-    if sizes is not None:
-        return lit_source(job, _measured_field(job, path, copy, sizes)), math.nan
-    if printed is None:
-        pillars, is_on_axis = written_light(job, path, copy), set(tangents) == {(0.0, 0.0)}
-        return lit_source(job, pillars if is_on_axis else light_over_field(job, pillars, tangents)), math.nan
-    made = made_mask(job, path, printed, copy).field
-    return lit_source(job, made.field), made.error
+    if lens.sizes is not None:
+        return lit_source(job, _measured_field(job, lens.path, lens.copy, lens.sizes)), math.nan
+    if lens.printed is not None:
+        made = made_mask(job, lens.path, lens.printed, lens.copy).field
+        return lit_source(job, made.field), made.error
+    pillars, is_on_axis = written_light(job, lens.path, lens.copy), set(tangents) == {(0.0, 0.0)}
+    return lit_source(job, pillars if is_on_axis else light_over_field(job, pillars, tangents)), math.nan
 
 
 def _measured_field(job: Job, path: Path, copy: int, sizes: Path) -> WrittenField:

@@ -25,7 +25,7 @@ FORMATS = ("gds", "oas")
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (None, "nothing at that path"),
+        (None, "no file at that path"),
         (b"", "an empty file"),
         (b"\x89HDF\r\n\x1a\n" + bytes(100), "a file of another kind"),
         (b"HEADER 600\nBGNLIB", "a file of another kind"),

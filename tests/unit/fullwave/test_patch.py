@@ -143,5 +143,5 @@ def test_a_patch_survives_its_file(pillars: PillarMap, ramp_library: Library, tm
         np.testing.assert_array_equal(getattr(back, name), getattr(patch, name))
     assert (back.against_library, back.coupling, back.grid) == (patch.against_library, patch.coupling, patch.grid)
     assert (back.polarisation, back.padding_sites, back.pixels_per_period) == ("y", 1, 8)
-    with pytest.raises(InputError, match="nothing at that path"):
+    with pytest.raises(InputError, match="no file at that path"):
         fullwave.load_patch(tmp_path / "none.h5")

@@ -63,7 +63,7 @@ def test_two_arrays_are_two_channels(tmp_path: Path) -> None:
     path = tmp_path / "stack.mat"
     savemat(path, {"left": STACK[0], "right": STACK[1]})
     np.testing.assert_array_equal(read_stack(path, DEPTHS, ("right", "left")), STACK[::-1])
-    with pytest.raises(InputError, match=r"left \(5, 11, 13\), right.*--dataset NAME"):
+    with pytest.raises(InputError, match=r"left \(5, 11, 13\), right.*name one"):
         read_stack(path, DEPTHS)
     with pytest.raises(InputError, match=r"middle.*choose one of these"):
         read_stack(path, DEPTHS, ("middle",))

@@ -25,7 +25,7 @@ from metafab.spec.device import Optics
 from metafab.steps.job import Job
 from metafab.steps.library import library_path
 from metafab.steps.optics import mask_source, pair_figures, point_spread, written_light
-from metafab.steps.optics.sources import joint_error, light_over_field
+from metafab.steps.optics.sources import WrittenLens, joint_error, light_over_field
 
 
 @pytest.fixture
@@ -84,7 +84,7 @@ def test_light_by_a_model_that_does_not_pay_is_told(
     path = _write_mask(design, tmp_path / "run", 300)
     for asked in (True, False):
         job = Job(replace(design, optics=Optics(neighbours=asked)), tmp_path)
-        pair, _ = point_spread(job, path, depths_m=(0.4,), window_px=16, target_error=0.1)
+        pair, _ = point_spread(job, WrittenLens(path), depths_m=(0.4,), window_px=16, target_error=0.1)
         sentences = [text for text in pair_figures(job, pair).warnings() if "does not lower the error: 0.200" in text]
         assert len(sentences) == (told and asked)
         assert all("`optics.neighbours`" in sentence for sentence in sentences)

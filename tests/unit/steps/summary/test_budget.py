@@ -1,4 +1,4 @@
-"""Error budget and ledger of a run: what full-wave rows found enters that of the mask that they were cut from alone."""
+"""Error budget of a run: what full-wave rows found enters that of the mask that they were cut from alone."""
 
 from __future__ import annotations
 
@@ -14,14 +14,13 @@ from metafab.core.figures import LightMapping, LineStatistics
 from metafab.core.storage.files import file_sha256
 from metafab.fullwave.coupling import Coupling, CouplingRow
 from metafab.spec import Design, load_design, write_new
-from metafab.spec.device import Optics
 from metafab.spec.new import NewLens
 from metafab.steps.images import DecodeFigures
 from metafab.steps.job import Job
 from metafab.steps.layout import LayoutFigures, mask_paths
 from metafab.steps.optics import PsfFigures
 from metafab.steps.orders import ORDERS, CouplingFigures, recorded_coupling
-from metafab.steps.summary import BudgetLine, RunSummary, Saving, error_budget, ledger
+from metafab.steps.summary import BudgetLine, RunSummary, error_budget
 from tests.closed_form_run import run_summary
 
 ROW = CouplingRow(600.0, 0.0, "x", "y", "rcwa", 21, 1, 6.2, 0.8, 0.9, 0.03, 0.12, 0.01, 2.0)
@@ -149,55 +148,3 @@ def test_the_model_of_neighbours_replaces_the_approximation_where_the_psf_used_i
         assert {source: lines[source].value for source in found} == expected
         if joint in expected:
             assert ("not solved" in lines[joint].how) == (expected[joint] is None)
-
-
-def test_a_run_without_figures_saves_nothing(small_design: Design) -> None:
-    assert ledger(small_design, None, None, None, None) == ()
-
-
-def test_each_saving_has_its_numbers_and_its_error(small_design: Design) -> None:
-    summary = run_summary()
-    assert summary.library is not None
-    library = replace(summary.library, max_model_error=3e-4)
-    savings = ledger(small_design, library, summary.layout, summary.psf, summary.decode)
-    cells = savings[0]
-    assert (cells.step, cells.computed, cells.of, cells.error) == ("library", 120, 5776, 3e-4)
-    by_name = {(entry.step, entry.what): entry for entry in savings}
-    depths = by_name["psf", "depths"]
-    assert depths.of is None
-    rows, columns = small_design.scene.field_px if small_design.scene else (0, 0)
-    assert by_name["psf", "directions of the field"].of == rows * columns
-
-
-def test_light_at_angles_that_is_left_out_has_its_reason(small_design: Design) -> None:
-    left_out, name = replace(PSF, oblique_error=0.02), "angles of the light on pillars"
-    model = replace(run_summary().library or Mock(), neighbours=LineStatistics(error_alike=0.03))
-    among = replace(left_out, with_neighbours=True)
-    refused = replace(small_design, optics=Optics(oblique=False))
-    for design, psf, reason in (
-        (small_design, left_out, "which the library does not know"),
-        (small_design, among, "errs by more, 0.03"),
-        (refused, among, "`optics.oblique` is false"),
-    ):
-        (found,) = (entry for entry in ledger(design, model, LAYOUT, psf, None) if entry.what == name)
-        assert reason in found.why
-        assert found.error == 0.02
-    carried = replace(left_out, oblique_change=0.09)
-    assert name not in {entry.what for entry in ledger(small_design, model, LAYOUT, carried, None)}
-
-
-def test_one_direction_of_the_field_is_named_and_its_error_is_not_measured(small_design: Design) -> None:
-    design = replace(small_design, verify=replace(small_design.verify, field_points=(1, 1)))
-    savings = {entry.what: entry for entry in ledger(design, None, LAYOUT, PSF, None)}
-    field = savings["directions of the field"]
-    assert (field.computed, field.why, field.error) == (1, "one direction serves all", None)
-    assert field.error_of is not None and savings["depths"].error_of is not None, "not lossless, but not measured"
-
-
-def test_mirror_images_alone_lose_nothing(small_design: Design) -> None:
-    library = run_summary().library
-    assert library is not None
-    (only,) = ledger(small_design, replace(library, max_model_error=0.0), None, None, None)
-    assert only == Saving(
-        "library", "unit cells", 120, 5776, "mirror images about the diagonal exchange x and y polarisation"
-    )
