@@ -42,7 +42,7 @@ _OUTLINE_SHARE = 0.175
 #: Share of the blur of a bright surface that is left beside its sharp image.
 _SHARP_SHARE = 0.4
 #: Reach of the blur of a highlight, frame pixels.
-_SPOILED_PX = 24
+SPOILED_PX = 24
 #: The images fade around bright pixels, from where their blur is this multiple of a dim surface's light, over this
 #: distance (frame pixels). Around pixels of five times the light that is from 8 to 24 px; 4 to 20 px does as well.
 _FADED_BLUR, _FADE_PX = 2.0, 16.0
@@ -241,7 +241,7 @@ class PreparedFrame:
             return np.zeros(self.downsampling.shape, dtype=bool)
         step, (n_y, n_x) = self.downsampling.step, self.downsampling.shape
         bad = blocks_with(self.twins.bad, (step, step), (n_y, n_x))
-        return np.asarray(distance(bad) * step <= _SPOILED_PX)
+        return np.asarray(distance(bad) * step <= SPOILED_PX)
 
     @cached_property
     def mean(self) -> NDArray[np.float32]:
