@@ -10,7 +10,6 @@
 - ``frame_outlines``     outlines between unlike contrasts to a part of a downsampled pixel, by the raw frame
 - ``pixel_outlines``     outlines between the downsampled pixels of segments, on the frame's pixels
 - ``own_depths``         doubt of segments whose pixels, away from outlines, are seen at other depths
-- ``broken_light``       saturated and invalid pixels: errors of segments, and segments without a depth
 - ``contrast``           I_x / I_y of pixels and segments, with standard errors
 - ``compose``            PixelDepth, Regions and sharp images -> Image4D
 """
