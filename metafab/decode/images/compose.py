@@ -12,9 +12,9 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.figures import DecodingFigures, SegmentFigures
 from metafab.core.parallel.executor import kept_threads
+from metafab.decode.broken_light import BrokenLight
 from metafab.decode.confidence import LEAST_RIGHT, RIGHT_WITHIN, SEGMENTS_SCATTER, confidence, same_side
 from metafab.decode.image import Image4D
-from metafab.decode.broken_light import BrokenLight
 from metafab.decode.images.contrast import SegmentLight, pixel_contrast
 from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.images.own_depths import seen_elsewhere
