@@ -1,4 +1,4 @@
-"""Segments whose light falls on saturated or invalid pixels: errors of their depths, and segments without a depth."""
+"""Segments whose light falls on saturated pixels: errors of their depths, and segments without a depth."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _NAMED_BROKEN = 0.25
 
 @dataclass(frozen=True)
 class BrokenLight:
-    """Share of broken pixels, saturated or invalid ones, in the light of a frame's segments."""
+    """Share of saturated pixels, and of those beside such, in the light of a frame's segments."""
 
     #: Shape (n,), share of each segment's pixels and of those whose blur reaches them; 0 where so few pixels are
     #: spoiled that the depth is measured without these.
@@ -48,8 +48,9 @@ class BrokenLight:
         lit = bad | repeated(prepared.lit, step, bad.shape)
         for index in np.flatnonzero((whole > 0) & (left <= LEAST_KEPT * whole)).tolist():
             near = repeated(distance(regions.interior == index + 1) * step <= SPOILED_PX, step, bad.shape)
-            share[index] = np.count_nonzero(bad & near) / max(np.count_nonzero(lit & near), 1)
-        return cls(share, float(bad.mean()))
+            share[index] = int(np.count_nonzero(bad & near)) / max(int(np.count_nonzero(lit & near)), 1)
+        # Pixels that are no number lie anywhere; saturated ones are the brightest, which carry the texture.
+        return cls(prepared.saturated_share * share, prepared.saturated_share * float(bad.mean()))
 
     @property
     def refused(self) -> NDArray[np.bool_]:
@@ -76,4 +77,4 @@ class BrokenLight:
         without = int(np.count_nonzero(self.refused))
         noun = "segment is" if without == 1 else "segments are"
         rest = f"; {without} {noun} without a depth" if without else ""
-        return f"{100.0 * largest:.0f} % of the pixels{where} are saturated, invalid or beside such: expose less{rest}"
+        return f"{100.0 * largest:.0f} % of the pixels{where} are saturated or beside such: expose less{rest}"

@@ -12,7 +12,7 @@ _BYTES = 256e6
 _SECONDS, _SECONDS_OF_A_BYTE = 2.5, 2.5e-7
 #: Added to that default for each site of the design.
 _SECONDS_OF_A_SITE = 1e-7
-#: Added for each tile of the design, which is a cell of its file: 3.4e-4 s where rules of rectangles read it three times.
+#: Added for each tile of the design, a cell of its file: rules of rectangles read it three times, in 3.4e-4 s.
 _SECONDS_OF_A_TILE = 5e-4
 #: Estimated processor time, s, of a byte of a block or a list, and of a shape at its place.
 _SECONDS_TO_INFLATE, _SECONDS_OF_A_PLACE = 1.5e-9, 1e-7
@@ -21,7 +21,8 @@ _SECONDS_TO_INFLATE, _SECONDS_OF_A_PLACE = 1.5e-9, 1e-7
 class Budget:
     """Bytes of inflated blocks and of lists, and processor time by records, which all passes over a file share.
 
-    ``sites`` and ``tiles`` are the numbers of the design's. A block or list is given back before the next, unless the file is ``held`` as a whole.
+    ``sites`` and ``tiles`` are the numbers of the design's. A block or list is given back before the next, unless the
+    file is ``held`` as a whole.
     """
 
     def __init__(self, path: Path, sites: int, *, tiles: int = 0, held: bool = False) -> None:

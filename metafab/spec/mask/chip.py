@@ -26,8 +26,8 @@ class Dose(Checked):
     #: Quantity that decides a pillar's class: its drawn area, the pattern density around it, or the dose corrected for
     #: proximity (`metafab expose --correct`).
     by: Literal["size", "density", "proximity"] = "size"
-    #: Number of classes, at most 32 by size or density; class 0, on `mask.datatype`, holds the smallest areas, densities
-    #: or doses.
+    #: Number of classes, at most 32 by size or density; class 0, on `mask.datatype`, holds the smallest areas,
+    #: densities or doses.
     classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 4
     block_um: Positive = 20.0  #: Side of the blocks in which density is counted.
 
