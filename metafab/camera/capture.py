@@ -210,6 +210,7 @@ def _film(scene: Scene, psf: Psf, lenses: Sequence[Lens], seed: int, progress: P
             (first.column * pixel_um, first.row * pixel_um),
             (first.row - lens.bottom, first.column - lens.left, *scene.field_px),
             scene.full_well_e,
+            photons=float(mean_e.sum()) / scene.quantum_efficiency,
         )
 
 

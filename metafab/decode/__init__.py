@@ -4,6 +4,7 @@
 - ``matching/``      matched filters, cost volume over candidate depths: Twins -> CostVolume -> PixelDepth
 - ``segmentation/``  connected segments of one plane, with the depth of each: CostVolume -> Regions
 - ``images/``        Wiener deconvolution and contrast; the parts put together: -> Image4D
+- ``broken_light``   saturated pixels: errors of segments, and segments without a depth
 - ``confidence``     the definition of a depth's confidence
 - ``image``          Image4D, its arrays by name, and decoded.h5
 - ``decoder``        ``decode`` for one frame, ``Decoder`` for many of one shape

@@ -39,7 +39,7 @@ def whole_dbu(length_nm: float, database_unit_nm: float, field: str, *, even: bo
     if abs(units - count) > 1e-6 or (even and count % 2):
         expected = f"{'an even' if even else 'a whole'} number of database units of {database_unit_nm:g} nm"
         remedy = _remedy(length_nm, database_unit_nm, 2 if even else 1)
-        got = f"{length_nm:g} nm, {units:g} units"
+        got = f"{length_nm:.12g} nm, {units:.12g} units"
         raise InputError.single("mask.database_unit_nm", field, expected, got, remedy)
     return count
 
@@ -47,7 +47,7 @@ def whole_dbu(length_nm: float, database_unit_nm: float, field: str, *, even: bo
 def _remedy(length_nm: float, unit_nm: float, step: int) -> str:
     """Suggest the nearest valid lengths and, if there is one, the coarsest finer unit that fits."""
     below = math.floor(length_nm / unit_nm / step) * step * unit_nm
-    lengths = f"use {below:g} or {below + step * unit_nm:g} nm"
+    lengths = f"use {below:.12g} or {below + step * unit_nm:.12g} nm"
     for part in (2, 4, 5, 8, 10, 20, 50, 100):
         steps = length_nm * part / unit_nm / step
         if abs(steps - round(steps)) < 1e-6:

@@ -168,7 +168,7 @@ def _open(
     is_gdsii = format_of(path) == "gds"
 
     def opened(datatypes: tuple[int, int]) -> GdsiiReader | OasisReader:
-        layer, budget = (design.mask.layer, *datatypes), Budget(path, _sites(design))
+        layer, budget = (design.mask.layer, *datatypes), Budget(path, _sites(design), tiles=_tiles(design))
         if is_gdsii:
             return GdsiiReader(path, layer, progress, known=known, budget=budget)
         return OasisReader(path, layer, progress, known=known, skip_blocks=skip_blocks, budget=budget)
@@ -210,6 +210,8 @@ def _recover(
         )
     others = OtherCopies(design, copy, ratio)
     hierarchy = Hierarchy(reader.cells, str(path))
+    if hierarchy.is_distorted and not reader.is_counted:
+        raise MixedBlockError
     total = hierarchy.count()
     most = _most_shapes(design)
     _refuse_many(path, total, most)
@@ -295,6 +297,15 @@ def _sites(design: Design) -> int:
         return math.prod(lattice_of(design).shape) * len(lens_copies(design))
     except InputError:  # Rules are checked even where the period is no whole number of units.
         return _SITES_WITHOUT_LATTICE
+
+
+def _tiles(design: Design) -> int:
+    """Number of tiles of all lenses, each a cell of the file; 0 where the design's write fields cut pillars."""
+    try:
+        side, shape = tile_sites(design), lattice_of(design).shape
+        return math.prod(-(-count // side) for count in shape) * len(lens_copies(design))
+    except InputError:
+        return 0
 
 
 def _refuse_many(path: Path, count: int, most: float) -> None:

@@ -19,6 +19,8 @@ _SIDES = ((1, 1), (1, 2), (2, 1))
 _DEAD_SHARE, _LEAST_LIT_PX = 0.8, 16
 #: Share of the lit pixels, and number, above which a frame has a pattern, such as a mosaic of colours.
 _MOST_DEAD, _FEWEST_OF_PATTERN = 0.05, 500
+#: Standard deviation of a normal distribution over the median of its absolute values.
+_SIGMA_PER_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True)
@@ -32,10 +34,12 @@ class DeadPixels:
 def dead_pixels(frame: FloatArray, read_noise_e: float) -> DeadPixels:
     """Find the dead pixels, rows and columns of a frame, shape (n_rows, n_columns), electrons over the black level.
 
-    A dead pixel holds no more than noise of ``read_noise_e`` (an electron at least) between bright pixels along rows,
-    columns and both diagonals: a PSF has dark rings, which go on along one of them. A dead row or column, or two that
-    touch, is dark all along the light on both of its sides. In the dark, and at the border, none is found.
+    A dead pixel holds no more than noise of ``read_noise_e`` (an electron at least, and the noise of the frame's own
+    dark areas) between bright pixels along rows, columns and both diagonals: a PSF has dark rings, which go on along
+    one of them. A dead row or column, or two that touch, is dark all along the light on both of its sides. In the dark,
+    and at the border, none is found.
     """
+    read_noise_e = max(read_noise_e, dark_noise_e(frame))
     light = np.where(np.abs(frame) <= LARGEST, frame, np.nan)
     lines, single = np.zeros(frame.shape, dtype=bool), light <= _SIGMAS * max(read_noise_e, 1.0)
     empty, n_lit = single.copy(), 0
@@ -54,6 +58,16 @@ def dead_pixels(frame: FloatArray, read_noise_e: float) -> DeadPixels:
     if dead.sum() > max(_MOST_DEAD * n_lit, _FEWEST_OF_PATTERN):
         return DeadPixels(np.zeros(frame.shape, dtype=bool), has_pattern=True)
     return DeadPixels(dead)
+
+
+def dark_noise_e(frame: FloatArray) -> float:
+    """Standard deviation of the noise in a frame's dark areas, electrons, from its values below zero.
+
+    ``frame``, shape (n_rows, n_columns), is in electrons over the black level. 0 where no more of its pixels than can
+    be dead are below zero: it then has no dark areas, or its file holds no values below the black level.
+    """
+    below = -frame[frame < 0.0]
+    return _SIGMA_PER_MEDIAN * float(np.median(below)) if below.size > _MOST_DEAD * frame.size else 0.0
 
 
 def _beside(light: FloatArray, direction: tuple[int, int]) -> FloatArray:

@@ -40,7 +40,9 @@ class CaptureAnswer:
     """Written frames, as ``metafab capture --json`` prints them; of files in counts with their :class:`Counts`."""
 
     shape: tuple[int, ...]  #: Rows and columns of a frame; of a batch, frames before them.
-    photons: float | list[float]  #: Sum of all pixels, electrons; one value for each frame of a film.
+    #: Mean number of photons that arrive on all pixels together; of a batch, on those of all frames; one value for each
+    #: frame of a film.
+    photons: float | list[float]
     seconds: float  #: Time of the command.
     #: Path of a single frame or of a batch; ``files``: paths of the frames of a film. One of them is None.
     file: Path | None = optional()
@@ -141,7 +143,7 @@ def _frames(
         ):
             counts = None if black is None else counts_of(frame, black=black)
             shape = frame.frame.shape if black is None else counted_shape(frame)
-            photons.append(float(frame.frame.sum()))
+            photons.append(frame.photons or 0.0)
             files.append(file)
     answer = CaptureAnswer(
         shape=shape,

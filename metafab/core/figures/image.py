@@ -17,7 +17,7 @@ class SegmentFigures:
     slope_x_per_m: float  #: Change of 1/depth per pixel along x, 1/m; 0 for a segment of one depth.
     slope_y_per_m: float  #: Change of 1/depth per pixel along y, 1/m.
     #: Standard error of ``depth_m`` by its likelihood; depths scatter by 1.3 to 1.45 times that, which ``confidence``
-    #: counts.
+    #: counts. Infinite where most pixels are saturated: the segment then has no depth in the image.
     error_m: float
     contrast: float  #: I_x / I_y, mean over the interior of the segment.
     contrast_error: float  #: Standard error of ``contrast``.
@@ -32,7 +32,8 @@ class DecodingFigures:
     """
 
     reason: str | None = optional()  #: Why nothing was decoded.
-    warning: str | None = optional()  #: Why the calibration does not seem to be the camera's.
+    #: Why the calibration does not seem to be the camera's, or that many pixels are saturated.
+    warning: str | None = optional()
     layers: int | None = optional()  #: Depths at which many pixels lie.
     basis_images: int | None = optional()  #: Basis kernels that each image was filtered with.
     step_px: int | None = optional()  #: Frame pixels from one compared pixel to the next.

@@ -12,6 +12,7 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.figures import DecodingFigures, SegmentFigures
 from metafab.core.parallel.executor import kept_threads
+from metafab.decode.broken_light import BrokenLight
 from metafab.decode.confidence import LEAST_RIGHT, RIGHT_WITHIN, SEGMENTS_SCATTER, confidence, same_side
 from metafab.decode.image import Image4D
 from metafab.decode.images.contrast import SegmentLight, pixel_contrast
@@ -147,24 +148,32 @@ class PixelMaps:
         step = prepared.downsampling.step
         with kept_threads() as pool:
             doubts = pool.submit(_mismatch_figures, volume, prepared, regions)
+            broken = BrokenLight.of(prepared, regions)
             inner = repeated(regions.interior, step, self.lit.shape)
             light = SegmentLight.of(sharp.images, self.segment, inner, len(regions.depths))
+        maps = {name: array for name, array in vars(self).items() if name != "lit"}
+        if broken.refused.any():
+            shown = ~broken.refused[self.segment]
+            for name, value in (("depth_m", np.nan), ("depth_pixel_m", np.nan), ("confidence", 0.0)):
+                maps[name] = np.where(shown, maps[name], value)
         some = (slice(None, None, 8), slice(None, None, 8))
+        figures = doubts.result()
         figures = replace(
-            doubts.result(),
+            figures,
+            warning=broken.warning or figures.warning,
             layers=regions.layers,
             step_px=step,
             pixels=self.lit.size,
             pixels_without_signal=self.lit.size - int(np.count_nonzero(self.lit)),
-            pixels_without_texture=int(np.count_nonzero(self.lit & np.isnan(self.depth_m))),
+            pixels_without_texture=int(np.count_nonzero(self.lit & np.isnan(maps["depth_m"]))),
             pixels_broken=int(np.count_nonzero(prepared.twins.bad)),
             contrast_standard_error=_median_relative(self.contrast_error[some], self.contrast[some]),
         )
         return Image4D(
-            **{name: array for name, array in vars(self).items() if name != "lit"},
+            **maps,
             origin_um=prepared.twins.grid.origin_um,
             pixel_um=prepared.twins.grid.pixel_um,
-            segments=_segment_figures(regions, light, step, prepared.levels.read_noise_e),
+            segments=_segment_figures(regions, light, broken, step, prepared.levels.read_noise_e),
             figures=figures,
         )
 
@@ -243,10 +252,11 @@ def _median_relative(error: FloatArray, values: FloatArray) -> float:
 
 
 def _segment_figures(
-    regions: Regions, light: SegmentLight, step: int, read_noise_e: float
+    regions: Regions, light: SegmentLight, broken: BrokenLight, step: int, read_noise_e: float
 ) -> tuple[SegmentFigures, ...]:
     """Figures of each segment; its contrast is that of its interior, where deconvolution keeps the light."""
     contrast, error = light.contrast(read_noise_e)
+    error = np.hypot(error, contrast * broken.contrast_error)
     return tuple(
         SegmentFigures(
             number=index + 1,
@@ -254,7 +264,7 @@ def _segment_figures(
             depth_m=1.0 / depth.vergence_per_m,
             slope_x_per_m=depth.plane.slope_per_m[1] / step,
             slope_y_per_m=depth.plane.slope_per_m[0] / step,
-            error_m=depth.relative_error / depth.vergence_per_m,
+            error_m=float(np.hypot(depth.relative_error, broken.depth_error[index])) / depth.vergence_per_m,
             contrast=float(contrast[index]),
             contrast_error=float(error[index]),
             correlation=depth.correlation,

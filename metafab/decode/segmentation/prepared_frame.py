@@ -42,7 +42,7 @@ _OUTLINE_SHARE = 0.175
 #: Share of the blur of a bright surface that is left beside its sharp image.
 _SHARP_SHARE = 0.4
 #: Reach of the blur of a highlight, frame pixels.
-_SPOILED_PX = 24
+SPOILED_PX = 24
 #: The images fade around bright pixels, from where their blur is this multiple of a dim surface's light, over this
 #: distance (frame pixels). Around pixels of five times the light that is from 8 to 24 px; 4 to 20 px does as well.
 _FADED_BLUR, _FADE_PX = 2.0, 16.0
@@ -58,6 +58,14 @@ _LIT_MARGIN_PX = 2
 NO_LIGHT = "there is no light in the frame, or none that differs from an even level"
 
 
+def saturated_share(frame: RawFrame) -> float:
+    """Share of saturated pixels among those of a frame that are saturated or no number; 0 without any."""
+    if frame.saturation_e is None:
+        return 0.0
+    saturated = int(np.count_nonzero(frame.frame >= frame.saturation_e))
+    return saturated / max(saturated + int(np.count_nonzero(np.isnan(frame.frame))), 1)
+
+
 @dataclass(frozen=True)
 class PreparedFrame:
     """Registered twins of a frame and their downsampled images."""
@@ -69,6 +77,8 @@ class PreparedFrame:
     images: NDArray[np.float32]  #: Shape (2, n_y + 2 margin, n_x + 2 margin), the downsampled images, electrons.
     #: Distances from an outline, frame pixels, and the share of a surface's light beyond them.
     spill: tuple[tuple[int, float], ...] = ()
+    #: Share of saturated pixels among the frame's broken ones, the others of which are no number.
+    saturated_share: float = 0.0
 
     @classmethod
     def of(
@@ -94,14 +104,14 @@ class PreparedFrame:
         levels = replace(Levels.of(images, frame.read_noise_e), pedestal_e=level_e) if levels is None else levels
         if levels.signal <= 0.0:
             return NO_LIGHT
-        return cls(twins, levels, downsampling, spectra, images, spill)
+        return cls(twins, levels, downsampling, spectra, images, spill, saturated_share(frame))
 
     def within(self, rows: slice, columns: slice) -> PreparedFrame:
         """A part of the window (slices of downsampled pixels), without ``spectra``."""
         m, part = self.downsampling.margin, self.downsampling.within(rows, columns)
         images = self.images[:, rows.start : rows.stop + 2 * m, columns.start : columns.stop + 2 * m]
         twins = self.twins.within(*self.downsampling.frame_slices(rows, columns))
-        return PreparedFrame(twins, self.levels, part, self.spectra[:0], images, self.spill)
+        return PreparedFrame(twins, self.levels, part, self.spectra[:0], images, self.spill, self.saturated_share)
 
     def about(self, middle: tuple[int, int], side: int) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
         """Both images in a square about a downsampled pixel (row, column), and whether a pixel lies in the images.
@@ -241,7 +251,7 @@ class PreparedFrame:
             return np.zeros(self.downsampling.shape, dtype=bool)
         step, (n_y, n_x) = self.downsampling.step, self.downsampling.shape
         bad = blocks_with(self.twins.bad, (step, step), (n_y, n_x))
-        return np.asarray(distance(bad) * step <= _SPOILED_PX)
+        return np.asarray(distance(bad) * step <= SPOILED_PX)
 
     @cached_property
     def mean(self) -> NDArray[np.float32]:

@@ -41,7 +41,7 @@ from metafab.decode.segmentation.surfaces import first_segments
 #: Misfit from which a pixel is left out of its segment's depth: 12 samples of noise reach it in one of 10^3 windows.
 _LARGEST_MISFIT = 2.5
 #: Share of such pixels that changes no depth, and share of the pixels that is kept at least.
-_FEW_OUTLIERS, _LEAST_KEPT = 0.01, 0.3
+_FEW_OUTLIERS, LEAST_KEPT = 0.01, 0.3
 #: Most rounds of leaving them out; a segment's depth settles after two.
 ROBUST_ROUNDS = 3
 #: Change of a depth, in standard errors, below which its outliers stay the same.
@@ -283,7 +283,7 @@ def without_outliers(
     count = len(regions.depths)
     kept = np.where(misfits < _LARGEST_MISFIT, regions.interior, 0)
     before, after = (np.bincount(label.ravel(), minlength=count + 1)[1:] for label in (regions.interior, kept))
-    again = np.flatnonzero(which[1:] & (after < (1.0 - _FEW_OUTLIERS) * before) & (after > _LEAST_KEPT * before))
+    again = np.flatnonzero(which[1:] & (after < (1.0 - _FEW_OUTLIERS) * before) & (after > LEAST_KEPT * before))
     if not again.size:
         return regions
     number = np.zeros(count + 1, dtype=np.int32)
@@ -317,7 +317,7 @@ def without_bright_light(prepared: PreparedFrame, filters: CrossFilters, regions
         volume = filters.volume(spectra, prepared.levels, inside > 0, silent)
         misfit = misfit_at(prepared, volume, regions.vergence_per_m(inside), inside).over_noise
         kept = (inside > 0) & whole & (misfit < _LARGEST_MISFIT) & ~prepared.spoiled
-        if kept.sum() > _LEAST_KEPT * pixels[index]:
+        if kept.sum() > LEAST_KEPT * pixels[index]:
             cells = Cells.of(volume, kept, step)
             depths[index] = measured_again(volume, cells, depths[index], depths[index].pixels, step)
     return replace(regions, depths=tuple(depths)) if dim.size else regions

@@ -235,7 +235,10 @@ def boundary_template(layer: int, datatype: int) -> NDArray[np.int32]:
 
 
 def _out_of_range(reach: int, layer: str) -> InputError:
-    expected, got = "coordinates of 32 bits and layers below 32768 for 'gds'", f"{reach} database units, layer {layer}"
+    if reach > np.iinfo(np.int32).max:
+        expected, got = "coordinates of 32 bits for 'gds'", f"{reach} database units"
+    else:
+        expected, got = f"layers and datatypes of at most {_LARGEST} for 'gds'", f"layer {layer}"
     return InputError.single("mask", "formats", expected, got, "write 'oas', which has no such limits")
 
 

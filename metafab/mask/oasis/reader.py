@@ -4,7 +4,7 @@ The file is parsed twice: once for cells, references and counts, and once, cell 
 RECTANGLE records, which hold nearly all of a mask, are parsed by a compiled loop, all other records in Python. The
 first pass skips blocks that begin with a pillar, on the assumption that they hold only pillars, at most one a byte.
 If the second pass finds anything else in such a block, it raises :class:`MixedBlockError`, and the file is read again
-without skipping.
+without skipping. So it is if a cell is magnified or obliquely turned, whose shapes no second pass counts.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ _LARGEST_RATIO = 1032  # Deflate needs at least two bits for 258 bytes.
 
 
 class MixedBlockError(Exception):
-    """A block that was assumed to hold only pillars, at most one a byte, holds something else."""
+    """A block that was assumed to hold only pillars, at most one a byte, holds something else, or must be counted."""
 
 
 class OasisReader:

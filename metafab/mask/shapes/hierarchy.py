@@ -129,6 +129,11 @@ class Hierarchy:
             raise InputError.single(source, "cells", "a top cell", got, "write the mask again")
         self._totals = self._count(source)
 
+    @property
+    def is_distorted(self) -> bool:
+        """Whether a cell is magnified or obliquely turned: its shapes are not read, but counted by the index."""
+        return any(reference.orientation is None for cell in self._cells.values() for reference in cell.references)
+
     def count(self) -> int:
         """Number of shapes on the pillar layer with all references expanded; reads no shape."""
         return sum(self._totals[top][0] for top in self.tops)

@@ -213,10 +213,9 @@ class Apodisation:
         if optics.amplitude_file is None or optics.amplitude_pitch_um is None:
             return cls(stop_um)
         samples = _amplitudes(optics.amplitude_file, optics.amplitude_dataset)
-        reach_um = 0.5 * min(samples.shape) * optics.amplitude_pitch_um
-        radius_um = 0.5 * design.device.aperture_um
-        require_coverage(optics.amplitude_file, "optics.amplitude_pitch_um", reach_um, radius_um)
-        return cls(stop_um, samples, optics.amplitude_pitch_um)
+        pitch_um, radius_um = optics.amplitude_pitch_um, 0.5 * design.device.aperture_um
+        require_coverage(optics.amplitude_file, "optics.amplitude_pitch_um", min(samples.shape), pitch_um, radius_um)
+        return cls(stop_um, samples, pitch_um)
 
 
 def apodised(source: Source, transmission: Transmission | None) -> Source:

@@ -24,6 +24,8 @@ from metafab.phase.terms.profile import PolarisedTerm
 #: A turn with its rounding errors, and the share of steps that may be longer: outlines of zones of several turns, or of
 #: an aperture with zeros around it, whose share is 2 over its samples a side.
 _LARGEST_STEP_RAD, _STEEP_SHARE = 2.0 * np.pi + 1e-3, 0.1
+#: Fewest samples across an aperture: a single one is no map, but a pitch in other units.
+_FEWEST_ACROSS = 2
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ def load_array(
         raise InputError.single(str(file), file.name, expected, f"{phase.dtype} of shape {phase.shape}", remedy)
     if lost := int(np.count_nonzero(~np.isfinite(phase))):
         raise InputError.single(str(file), file.name, expected, f"NaN or infinity at {lost} of {phase.size} places")
-    require_coverage(file, "pitch_um", 0.5 * min(phase.shape[-2:]) * pitch_um, radius_um)
+    require_coverage(file, "pitch_um", min(phase.shape[-2:]), pitch_um, radius_um)
     _require_radians(file, phase)
     field = np.exp(1j * np.broadcast_to(phase, (2, *phase.shape[-2:])))
     return SampledPhase(field, pitch_um, polarisation=polarisation)
@@ -97,8 +99,16 @@ def _require_radians(file: Path, phase: NDArray[np.generic]) -> None:
         raise InputError.single(str(file), file.name, expected, got, remedy)
 
 
-def require_coverage(file: Path, key: str, reach_um: float, radius_um: float) -> None:
-    """Refuse (InputError) samples of a file that reach less far from the axis than the aperture."""
+def require_coverage(file: Path, key: str, count: int, pitch_um: float, radius_um: float) -> None:
+    """Refuse (InputError) ``count`` samples a side that do not cover the aperture, or of which too few lie across it.
+
+    ``key`` is that of ``pitch_um``, the distance of the samples.
+    """
+    reach_um = 0.5 * count * pitch_um
+    if 2.0 * radius_um < _FEWEST_ACROSS * pitch_um * (1.0 - 1e-9):
+        expected = f"a pitch of at most {2.0 * radius_um / _FEWEST_ACROSS:g} um: {_FEWEST_ACROSS} samples or more "
+        expected += f"across the aperture of {2.0 * radius_um:g} um"
+        raise InputError.single(str(file), key, expected, f"{pitch_um:g} um", "is it in micrometres?")
     if reach_um < radius_um * (1.0 - 1e-9):
         expected, got = f"samples that cover the aperture to {radius_um:g} um from the axis", f"{reach_um:g} um"
         remedy = "give more samples or the right pitch; nothing is extrapolated"

@@ -15,6 +15,8 @@ from metafab.spec.fields import CONFIG, Checked, Flag, Index, NonNegative, Posit
 
 #: Most dose classes by size or density.
 MOST_CLASSES = 32
+#: Largest layer and datatype: 16 bits.
+_LARGEST_LAYER = 65535
 
 
 @dataclass(frozen=True, config=CONFIG)
@@ -24,7 +26,8 @@ class Dose(Checked):
     #: Quantity that decides a pillar's class: its drawn area, the pattern density around it, or the dose corrected for
     #: proximity (`metafab expose --correct`).
     by: Literal["size", "density", "proximity"] = "size"
-    #: Number of classes; class 0, on `mask.datatype`, holds the smallest areas, densities or doses.
+    #: Number of classes, at most 32 by size or density; class 0, on `mask.datatype`, holds the smallest areas,
+    #: densities or doses.
     classes: Annotated[int, Field(strict=True, ge=2, le=256)] = 4
     block_um: Positive = 20.0  #: Side of the blocks in which density is counted.
 
@@ -83,5 +86,5 @@ class Include(Checked):
 
     def _faults(self) -> Iterator[str]:
         for pair in (*self.layers, *self.layers.values()):
-            if not re.fullmatch(r"\d{1,5}/\d{1,5}", pair):
-                yield f'`layers` must name each layer as "layer/datatype", got {pair!r}'
+            if not re.fullmatch(r"\d{1,5}/\d{1,5}", pair) or max(map(int, pair.split("/"))) > _LARGEST_LAYER:
+                yield f'`layers` must name each layer as "layer/datatype", of at most {_LARGEST_LAYER}, got {pair!r}'

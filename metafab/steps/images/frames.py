@@ -26,7 +26,8 @@ class CaptureFigures:
     """Figures of a raw frame."""
 
     shape: tuple[int, ...]  #: (rows, columns); of a batch, (frames, rows, columns).
-    photons: float  #: Sum of all pixels, electrons.
+    #: Mean number of photons that arrive on all pixels together; of a batch, on those of all frames.
+    photons: float
 
 
 def frame_files(path: Path, frames: int) -> list[Path]:
@@ -120,7 +121,7 @@ def capture_batch(
         for done in range(1, total + 1):
             with of_scene_file(*scenes[(done - 1) // draws]):
                 draw = next(shots)
-            photons, shape = photons + float(draw.frame.frame.sum()), draw.frame.frame.shape
+            photons, shape = photons + (draw.frame.photons or 0.0), draw.frame.frame.shape
             progress("capture", done, total)
             yield draw
 
@@ -134,7 +135,7 @@ def _capture(job: Job) -> CaptureFigures:
     assert job.design.scene is not None  # The step is not needed without one.
     folder, progress = job.folder, job.work.progress
     ((frame, _),) = capture(job.design.scene, folder / "psf.h5", folder / "raw.h5", progress=progress)
-    return CaptureFigures(frame.frame.shape, float(frame.frame.sum()))
+    return CaptureFigures(frame.frame.shape, frame.photons or 0.0)
 
 
 CAPTURE = Step(

@@ -120,6 +120,34 @@ def test_two_top_cells_are_refused(engine: str, tiny_design: Design, tmp_path: P
         drc.check(path, tiny_design, engine=engine)
 
 
+@pytest.mark.parametrize("suffix", ["gds", "oas"])
+@pytest.mark.parametrize("magnification", [1.0, 2.0])
+def test_shapes_of_a_magnified_cell_are_counted_in_both_formats(
+    magnification: float, suffix: str, tiny_design: Design, tmp_path: Path
+) -> None:
+    """Equal rectangles, which gdstk packs into one block of OASIS."""
+    library, cell, top = gdstk.Library(unit=1e-6, precision=5e-10), gdstk.Cell("T"), gdstk.Cell("U")
+    for x, y in ((0.0, 0.0), (0.35, 0.0), (0.7, 0.0), (1.05, 0.35)):
+        cell.add(gdstk.rectangle((x + 0.125, y + 0.125), (x + 0.225, y + 0.225), layer=tiny_design.mask.layer))
+    top.add(gdstk.Reference(cell, magnification=magnification))
+    library.add(cell, top)
+    path = tmp_path / f"magnified.{suffix}"
+    (library.write_gds if suffix == "gds" else library.write_oas)(path)
+    report = drc.check(path, tiny_design)
+    assert report.violations["foreign"] == (0 if magnification == 1.0 else 4)
+
+
+def test_a_mask_of_one_site_a_cell_is_checked_by_every_engine(
+    profile: PhaseProfile, smooth_library: Library, tiny_design: Design, tmp_path: Path
+) -> None:
+    """Write fields of one period: thirteen thousand cells, which the time that a file may take counts."""
+    period_um = 1e-3 * tiny_design.unit_cell.cell.period_nm[0]
+    design = replace(tiny_design, mask=replace(tiny_design.mask, write_field_um=period_um))
+    pillars = layout.assign(profile, smooth_library, design).pillars
+    (path,) = (one.path for one in mask.write(pillars, tmp_path, design) if one.path.suffix == ".oas")
+    assert not any(drc.check(path, design, engine="rectangles").violations.values())
+
+
 def test_texts_and_other_layers_are_told_from_pillars_and_edges_are_foreign(
     tiny_design: Design, tmp_path: Path
 ) -> None:

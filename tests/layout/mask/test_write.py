@@ -345,3 +345,11 @@ def test_layers_must_differ() -> None:
     with pytest.raises(ValueError, match="layers of their own"):
         Mask(layer=2, tone="positive")
     assert Mask(layer=2).datatypes == (0, 0)
+
+
+def test_a_layer_beyond_gdsii_is_refused_without_a_word_about_places(
+    tiny: Assignment, tiny_design: Design, tmp_path: Path
+) -> None:
+    design = replace(tiny_design, mask=replace(tiny_design.mask, layer=65535))
+    with pytest.raises(InputError, match=r"layers and datatypes of at most 32767 for 'gds', got layer 65535/0"):
+        mask.write(tiny.pillars, tmp_path, design)

@@ -50,6 +50,14 @@ def test_photons_are_conserved_and_split_by_the_polarisation_contrast(psf: Psf) 
     assert frame.truth.intensity_x.sum() == pytest.approx(3.0 * frame.truth.intensity_y.sum())
 
 
+def test_photons_of_a_frame_are_those_that_arrive_whatever_the_sensor_makes_of_them(psf: Psf) -> None:
+    piece = SceneObject(depth_m=0.0029, size=(0.06, 0.06))
+    frame = capture(scene(piece), psf)
+    assert frame.photons == pytest.approx(frame.frame.sum(), rel=1e-4)  # shot noise: 1e-6
+    for sensor in ({"quantum_efficiency": 0.5}, {"full_well_e": 0.1 * BRIGHT}, {"dark_e": BRIGHT}):
+        assert capture(scene(piece, **sensor), psf).photons == pytest.approx(frame.photons, rel=1e-12)
+
+
 def test_a_small_object_shows_the_psf_pair_where_the_map_says(psf: Psf) -> None:
     tangent = (0.03, -0.02)
     dot = SceneObject(depth_m=float(psf.depth_m[3]), centre=tangent, size=(3e-3, 3e-3), texture="uniform")

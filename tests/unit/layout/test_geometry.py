@@ -74,6 +74,11 @@ def test_a_period_off_the_grid_is_refused(small_design: Design) -> None:
         lattice_of(_mask(small_design, database_unit_nm=0.3))
 
 
+def test_a_length_off_the_grid_is_named_with_all_digits_of_the_fault() -> None:
+    with pytest.raises(InputError, match=r"got 100000\.13 nm, 200000\.26 units; use 100000 or 100000\.5 nm, or a unit"):
+        whole_dbu(100000.13, 0.5, "at_um")
+
+
 def test_an_aperture_without_a_cell_is_refused(small_design: Design) -> None:
     with pytest.raises(InputError, match="at least one period"):
         lattice_of(_device(small_design, aperture_um=0.3))

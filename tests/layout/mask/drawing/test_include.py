@@ -267,3 +267,7 @@ def test_coordinates_off_the_grid_are_refused(
 def test_layers_are_pairs() -> None:
     with pytest.raises(ValueError, match="layer/datatype"):
         Include(Path("shop.gds"), layers={"20": "30/0"})
+    for pair in ("40/70000", "70000/0"):
+        with pytest.raises(ValueError, match=f"at most 65535, got '{pair}'"):
+            Include(Path("shop.gds"), layers={"20/0": pair})
+    Include(Path("shop.gds"), layers={"20/0": "65535/65535"})

@@ -26,6 +26,24 @@ def test_an_image_has_no_dead_pixels(mean_e: float, blur_px: float) -> None:
         assert not found.where.any() and not found.has_pattern
 
 
+@pytest.mark.parametrize("noise_e", [2.0, 8.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_of_dark_areas_is_not_dead_where_no_read_noise_is_stated(noise_e: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    light = np.zeros((120, 160))
+    light[:, :80] = photograph(seed, 30.0)[:, :80].clip(0.0)
+    frame = light + rng.normal(0.0, noise_e, light.shape)
+    found = dead_pixels(frame, 0.0)
+    assert not found.where.any() and not found.has_pattern
+
+
+def test_dead_pixels_of_a_noisy_frame_are_found_where_no_read_noise_is_stated() -> None:
+    frame, rng = photograph(2, 3000.0, blur_px=2.0), np.random.default_rng(0)
+    row, column = rng.integers(5, 115, 40), rng.integers(5, 75, 40)
+    frame[row, column] = -100.0
+    assert dead_pixels(frame, 0.0).where[row, column].mean() > 0.9
+
+
 @pytest.mark.parametrize("photons", [4e4, 4e6, 4e7])
 def test_the_dark_rings_of_a_point_are_no_dead_pixels(photons: float) -> None:
     """Nulls of a PSF hold less than a third of the light on both of their sides."""

@@ -62,6 +62,15 @@ def test_degrees_and_levels_of_pictures_are_no_radians(tmp_path: Path) -> None:
             load_array(tmp_path / f"{name}.npy", 1.0, "phase_rad", 30.0)
 
 
+def test_a_pitch_of_which_less_than_two_samples_lie_across_the_aperture_is_refused(tmp_path: Path) -> None:
+    """500 nm given as micrometres: one sample over the whole lens."""
+    np.save(tmp_path / "map.npy", np.zeros((80, 80)))
+    load_array(tmp_path / "map.npy", 0.5, "phase_rad", 20.0)
+    load_array(tmp_path / "map.npy", 20.0, "phase_rad", 20.0)
+    with pytest.raises(InputError, match=r"`pitch_um`: expected a pitch of at most 20 um.*got 500 um; is it in micro"):
+        load_array(tmp_path / "map.npy", 500.0, "phase_rad", 20.0)
+
+
 def test_arrays_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "small.npy", np.zeros((4, 4)))
     np.save(tmp_path / "hole.npy", np.full((4, 4), np.nan))
