@@ -18,7 +18,7 @@ from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.segments import Regions
 
 #: Fall of the mean logarithm of the misfit that the freedom of a surface brings by chance. In 20 frames of flat,
-#: tilted and bent objects (100 to 30 000 electrons, 128 to 960 px) it is 0.02 in the mean, -0.02 to 0.045. Where
+#: tilted and bent objects (100 to 3000 electrons, most of 480 x 960 px) it is 0.02 in the mean, -0.02 to 0.045. Where
 #: planes are wrong, surfaces gain more: 0.08 to 0.14 in the Middlebury motorcycle (150 to 3000 electrons, three ranges
 #: of depth), 0.09 to 0.25 in hills, rooms, steps and slopes.
 _BY_CHANCE = 0.03
