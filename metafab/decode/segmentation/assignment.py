@@ -113,7 +113,10 @@ class Segmentation:
         depths: list[SegmentDepth] = []
         light = prepared.inner.sum(axis=0)
         for part, cells in enumerate(Cells.of_each(volume, inside, count, step), start=1):
-            depth = measured_depth(volume, cells, layers[int(np.median(layer[parts == part])) - 1])
+            own = layers[int(np.median(layer[parts == part])) - 1]
+            depth = measured_depth(volume, cells, own)
+            if depth is not None and not self.holds(own, depth):
+                depth = self.in_layer(own, inside == part) or depth
             if depth is not None and sizes[part] * step**2 < NARROW_PX:
                 depth = with_error_of_straight(depth, light, inside == part, volume.samples)
             if depth is not None and depth.relative_error < LARGEST_ERROR:
@@ -130,6 +133,27 @@ class Segmentation:
         if not self.refined:
             return regions
         return replace(regions, depths=along_planes(regions.depths, regions.interior, volume, step))
+
+    def holds(self, layer: Plane, depth: SegmentDepth) -> bool:
+        """Whether the depth of a segment lies in its layer.
+
+        A layer is where most of its pixels' depths are, a segment's depth where the sums of the twins' products
+        correlate best. Few pixels of other surfaces, such as bars, move these sums if their texture is stronger.
+        """
+        tilted = layer.tilted or depth.plane.tilted
+        return tilted or abs(depth.vergence_per_m - layer.vergence_per_m) < self.separation_per_m
+
+    def in_layer(self, layer: Plane, inside: NDArray[np.bool_]) -> SegmentDepth | None:
+        """Depth of the pixels of an interior, shape (n_y, n_x), whose own depth lies in the segment's layer.
+
+        None where they are not most of those with a depth: then the layer is not that of the segment.
+        """
+        inside = inside & self.pixels.claimed
+        away = np.abs(self.pixels.vergence_per_m - layer.over(inside.shape))
+        kept = inside & (away < self.separation_per_m)
+        if 2 * np.count_nonzero(kept) <= np.count_nonzero(inside):
+            return None
+        return measured_depth(self.volume, Cells.of(self.volume, kept, self.prepared.downsampling.step), layer)
 
     def _textured(self, segments: NDArray[np.int32]) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
         """The segments that show texture, numbered anew from 1, their interiors, and the pixels of the others."""

@@ -114,9 +114,11 @@ def find_regions(
     regions = with_plain_objects(segments, prepared, volume)
     if not regions.depths:
         return regions
-    step, refused = prepared.downsampling.step, np.zeros(regions.grown.shape, dtype=bool)
+    step, refused = prepared.downsampling.step, unknown_objects(prepared, regions)
+    unknown = refused
     if refined and optics is not None:
-        regions, refused = with_bars(regions, prepared, volume, optics)
+        regions, about_bars = with_bars(regions, prepared, volume, optics)
+        refused = refused | about_bars
         regions = with_modelled_outlines(prepared, regions, optics, volume)
     label = regions.grown
 
@@ -130,8 +132,8 @@ def find_regions(
 
     own, moving = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool)
     if not refined:
-        right, _ = right_by_misfit(regions, own.over_noise, own, misfit_of, step)
-        return replace(regions, right=right)
+        right, _ = right_by_misfit(regions, own.over_noise, own, misfit_of, step, unknown)
+        return replace(regions, right=right).refused(refused)
     for _ in range(robust_rounds):
         judged = np.where(prepared.spoiled, np.float32(np.inf), own.over_noise)
         before = regions.depths
@@ -164,8 +166,16 @@ def find_regions(
             unexplained[one.blob] = False
         regions = with_small_objects(regions, found, volume)
         label = regions.grown
-    right, fits_nowhere = right_by_misfit(regions, misfit_here, own, misfit_of, step)
+    right, fits_nowhere = right_by_misfit(regions, misfit_here, own, misfit_of, step, unknown)
     return replace(regions, right=right).refused(refused | (unexplained & fits_nowhere))
+
+
+def unknown_objects(prepared: PreparedFrame, regions: Regions) -> NDArray[np.bool_]:
+    """Pixels of plain objects whose outlines gave no depth, shape (n_y, n_x).
+
+    Their light shows another surface. Segments nearby grow over the blur along their outlines.
+    """
+    return np.asarray((prepared.plain_objects > 0) & ~regions.of_outline[regions.grown])
 
 
 def right_by_misfit(
@@ -174,6 +184,7 @@ def right_by_misfit(
     own: Misfit,
     misfit_of: Callable[[NDArray[np.int32], float], Misfit],
     step: int,
+    unknown: NDArray[np.bool_],
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Probability that each pixel is in the right segment, and pixels that fit no segment across an outline either.
 
@@ -185,12 +196,18 @@ def right_by_misfit(
         own: misfit at the depth of each pixel's segment.
         misfit_of: returns the misfit at the depths of other segments, (n_y, n_x), with a calibration's error.
         step: frame pixels from one downsampled pixel to the next.
+        unknown: shape (n_y, n_x), pixels of surfaces without a depth, whose outlines count as those of segments.
     """
     across, away = across_outlines(regions.grown, regions.vergence_per_m(regions.grown))
     other = misfit_of(across, own.model_error) if across.any() else own
     # Outlines of plain objects are judged as a whole.
     misfit = np.where(regions.of_outline[regions.grown], np.float32(1.0), misfit)
-    return right_segment(misfit, other.over_noise, away * step), other.is_foreign | (across == 0)
+    misfit_across = other.over_noise
+    if unknown.any():  # No depth across them could fit better or worse.
+        beside = distance(unknown) - np.float32(1.0)
+        misfit_across = np.where(beside < away, misfit, misfit_across)
+        away = np.minimum(away, beside)
+    return right_segment(misfit, misfit_across, away * step), other.is_foreign | (across == 0)
 
 
 def with_modelled_outlines(

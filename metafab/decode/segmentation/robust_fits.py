@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ _UNFIT_PLANE, _CURVED_SHARE = 2.6, 0.5
 _RINGS_SHARE = 0.93
 #: Least relative change of vergence by curvature.
 _SMALLEST_RISE = 5e-3
+#: Parameters of a quadric.
+_QUADRIC = 6
 #: Fewest pixels of a curved surface. One pixel in four is fitted, because windows of neighbours overlap.
 _FEWEST_CURVED, _FITTED_SHARE = 200, 4
 
@@ -65,17 +68,56 @@ def curved_surface(regions: Regions, pixels: PixelDepth, numbers: Sequence[int])
     of_planes = plane_misfit(regions, pixels, fitted, 3)
     if len(numbers) == 1 and of_planes < _UNFIT_PLANE:
         return None
-    vergence = pixels.vergence_per_m[fitted]
-    error, middle = pixels.relative_error[fitted] * vergence, float(np.median(vergence))
-    monomials, centre, half = _monomials(*(axis.astype(np.float64) for axis in np.nonzero(fitted)))
-    away = (vergence - middle) / error
-    on_quadric, quadric = robust_fit(monomials / error[:, None], away)
-    bend = float(np.ptp(monomials[:, 3:] @ quadric[3:]))
+    quadric = _Fit.of(pixels, fitted, _QUADRIC)
     share = _CURVED_SHARE if len(numbers) == 1 else _RINGS_SHARE
-    if mean_square(away - on_quadric) > share * of_planes or bend < _SMALLEST_RISE * middle:
+    if quadric.misfit > share * of_planes or quadric.bend < _SMALLEST_RISE * quadric.plane.vergence_per_m:
         return None
-    rise, y, x, yy, yx, xx = (quadric / half ** np.array([0, 1, 1, 2, 2, 2])).tolist()
-    return Plane(middle + rise, (y, x), centre, (yy, yx, xx))
+    return quadric.plane
+
+
+def simplest_surface(pixels: PixelDepth, inside: NDArray[np.bool_]) -> Plane | None:
+    """One depth, or else a plane, or else a quadric through the depths of pixels; None for too few pixels.
+
+    Each must leave less than half of the misfit of the simpler one: the depths of pixels scatter by more than they
+    state, and neighbours by the same.
+
+    Args:
+        pixels: depth of each pixel.
+        inside: shape (n_y, n_x), pixels of one surface.
+    """
+    places = np.flatnonzero(inside & pixels.claimed)
+    if places.size < _FEWEST_CURVED:
+        return None
+    fitted = np.zeros(inside.shape, dtype=bool)
+    fitted.flat[places[::_FITTED_SHARE]] = True
+    best, *others = (_Fit.of(pixels, fitted, free) for free in (1, 3, _QUADRIC))
+    for finer in others:
+        if finer.misfit < _CURVED_SHARE * best.misfit:
+            best = finer
+    return best.plane
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Robust fit to the depths of pixels."""
+
+    plane: Plane  #: The fitted surface.
+    misfit: float  #: Mean square distance of the pixels' depths from it, in standard errors.
+    bend: float  #: Range of its curved part over the pixels, 1/m.
+
+    @classmethod
+    def of(cls, pixels: PixelDepth, fitted: NDArray[np.bool_], free: int) -> _Fit:
+        """Fit one depth (``free`` = 1), a plane (3) or a quadric (6) to the pixels ``fitted``, shape (n_y, n_x)."""
+        vergence = pixels.vergence_per_m[fitted]
+        error, middle = pixels.relative_error[fitted] * vergence, float(np.median(vergence))
+        monomials, centre, half = _monomials(*(axis.astype(np.float64) for axis in np.nonzero(fitted)))
+        away = (vergence - middle) / error
+        on_surface, factors = robust_fit(monomials[:, :free] / error[:, None], away)
+        factors = np.pad(factors, (0, _QUADRIC - free))
+        bend = float(np.ptp(monomials[:, 3:] @ factors[3:]))
+        rise, y, x, yy, yx, xx = (factors / half ** np.array([0, 1, 1, 2, 2, 2])).tolist()
+        plane = Plane(middle + rise) if free == 1 else Plane(middle + rise, (y, x), centre, (yy, yx, xx))
+        return cls(plane, mean_square(away - on_surface), bend)
 
 
 def mean_square(away: FloatArray) -> float:

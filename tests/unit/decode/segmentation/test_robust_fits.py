@@ -7,7 +7,7 @@ import pytest
 
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.segmentation.planes import Plane
-from metafab.decode.segmentation.robust_fits import curved_surface
+from metafab.decode.segmentation.robust_fits import curved_surface, simplest_surface
 from metafab.decode.segmentation.segments import Regions, SegmentDepth
 
 
@@ -51,3 +51,23 @@ def test_a_quadric_moves_with_its_picture() -> None:
     surface = Plane(2.5, (1e-3, -5e-4), (30.0, 45.0), (-8e-5, 3e-5, -6e-5))
     assert surface.moved(-10, -20).over((40, 50)) == pytest.approx(surface.over((60, 90))[10:50, 20:70])
     assert Plane(2.5, curvature_per_m=(1e-5, 0.0, 0.0)).tilted and not Plane(2.5, (1e-3, 0.0)).curved
+
+
+@pytest.mark.parametrize(
+    ("true", "tilted", "curved"),
+    [
+        (Plane(2.5), False, False),
+        (Plane(2.5, (1e-3, 2e-3), (30.0, 45.0)), True, False),
+        (Plane(2.5, (1e-3, 0.0), (30.0, 45.0), (-8e-5, 0.0, -6e-5)), True, True),
+    ],
+)
+def test_the_simplest_surface_through_pixels_that_scatter_by_twice_their_error(
+    true: Plane, tilted: bool, curved: bool
+) -> None:
+    surface = true.over((60, 90))
+    noise = np.random.default_rng(3).normal(0.0, 6e-3, surface.shape)
+    pixels = PixelDepth(surface * (1.0 + noise), np.full(surface.shape, 3e-3), np.ones(surface.shape, dtype=bool))
+    found = simplest_surface(pixels, np.ones(surface.shape, dtype=bool))
+    assert found is not None and (found.tilted, found.curved) == (tilted, curved)
+    assert np.abs(found.over(surface.shape) - surface).max() < 6e-3
+    assert simplest_surface(pixels, np.zeros(surface.shape, dtype=bool)) is None
