@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -103,7 +104,6 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
     row has its own instants. The truth is that of the middle of each row's exposure. Noise differs from frame to frame;
     textures stay with their objects, and hot pixels in their places.
     """
-    _require_depths(scene, psf)
     lenses = _lenses(scene, psf, _blurs(psf))
     yield from _film(scene, psf, lenses, scene.seed if seed is None else seed, progress)
 
@@ -117,11 +117,10 @@ def draws(scene: Scene, psf: Psf, seeds: Iterable[int]) -> Iterator[RawFrame]:
 
 
 def require_fit(scene: Scene, psf: Psf) -> None:
-    """Raise the InputError of :func:`capture` for a field or depths that do not fit the pair, before any blur."""
+    """Raise the InputError of :func:`capture` for a field or a picture that does not fit the pair, before any blur."""
     sensor_windows(scene, psf, ImageMap.from_psf(psf))
     if scene.rgbd is not None:
         DepthPicture.of(scene, psf.pixel_um / psf.sensor_distance_um).require_inside(psf.depth_m)
-    _require_depths(scene, psf)
 
 
 def batch(scenes: Iterable[Scene], psf: Psf, count: int, seed: int) -> Iterator[Draw]:
@@ -136,18 +135,27 @@ def batch(scenes: Iterable[Scene], psf: Psf, count: int, seed: int) -> Iterator[
             yield Draw(index, number, frame)
 
 
-def _require_depths(scene: Scene, psf: Psf) -> None:
-    """Raise InputError with every object that is outside the calibrated depths in any frame."""
-    nearest, farthest = psf.depth_m.min() * (1.0 - 1e-9), psf.depth_m.max() * (1.0 + 1e-9)
-    expected = f"depths inside the PSF calibration, {psf.depth_m.min():g} to {psf.depth_m.max():g} m"
-    remedy = "move the object, or calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`)"
-    faults = []
-    for number, (low, high) in enumerate(_depth_ranges_m(scene, psf.pixel_um / psf.sensor_distance_um)):
-        if low < nearest or high > farthest:
-            got = f"{low:g} m" if high - low <= 1e-9 * low else f"{low:g} to {high:g} m by its tilt, bulge or motion"
-            faults.append(Fault(f"objects[{number}].depth_m", expected, got, remedy))
-    if faults:
-        raise InputError("scene", faults)
+@contextmanager
+def _named_objects(scene: Scene, psf: Psf) -> Iterator[None]:
+    """Name, in the InputError of a depth outside the calibration, every object that reaches there in any frame.
+
+    Parts that no image shows may lie anywhere, so that reaching there is no fault by itself.
+    """
+    try:
+        yield
+    except InputError as error:
+        if not any(fault.field == "depth_m" for fault in error.faults):
+            raise
+        nearest, farthest = psf.depth_m.min(), psf.depth_m.max()
+        expected = f"depths inside the PSF calibration, {nearest:g} to {farthest:g} m"
+        remedy = "move the object, or calibrate the PSF over a wider range of depths (`metafab psf --depths-m ...`)"
+        faults, slack = [], 1e-9 * farthest
+        for number, (low, high) in enumerate(_depth_ranges_m(scene, psf.pixel_um / psf.sensor_distance_um)):
+            if low < nearest - slack or high > farthest + slack:
+                is_flat = high - low <= 1e-9 * low
+                got = f"{low:g} m" if is_flat else f"{low:g} to {high:g} m by its tilt, bulge or motion"
+                faults.append(Fault(f"objects[{number}].depth_m", expected, got, remedy))
+        raise InputError("scene", faults or error.faults) from error
 
 
 def _depth_ranges_m(scene: Scene, pixel_tangent: float) -> list[tuple[float, float]]:
@@ -161,9 +169,7 @@ def _depth_ranges_m(scene: Scene, pixel_tangent: float) -> list[tuple[float, flo
 
 
 def _draws(scene: Scene, psf: Psf, blurs: Sequence[Blurs], seeds: Iterable[int]) -> Iterator[RawFrame]:
-    first = replace(scene, frames=1)
-    _require_depths(first, psf)
-    lenses = _lenses(scene, psf, blurs)
+    lenses, first = _lenses(scene, psf, blurs), replace(scene, frames=1)
     is_drawn = any(spec.texture == "fractal" for spec in scene.objects)
     for seed in seeds:
         for lens in lenses if is_drawn else ():
@@ -198,7 +204,8 @@ def _film(scene: Scene, psf: Psf, lenses: Sequence[Lens], seed: int, progress: P
         for index, time_s in enumerate(shutter.instants_s.tolist()):
             renderer = replace(still, scene=moved(scene, time_s))
             part = partial_progress(progress, index, shutter.instants_s.size)
-            mean_e += shutter.weights[:, index, None] * sum(each.light(renderer, part) for each in lenses)
+            with _named_objects(scene, psf):
+                mean_e += shutter.weights[:, index, None] * sum(each.light(renderer, part) for each in lenses)
         rng = np.random.default_rng(np.random.SeedSequence((seed, 0x0C0FFEE, *((number,) if number else ()))))
         middle_s = shutter.middle_s[first.row - lens.bottom :][: scene.field_px[0]]
         yield RawFrame(

@@ -51,6 +51,8 @@ def require_hdf5_name(path: Path | None) -> Path | None:
         return None
     from metafab.core.storage.files import HDF5_SUFFIXES
 
+    if path.is_dir():
+        raise InputError.single("--output", "output", "the name of a file", f"the folder {path}", "name a file in it")
     if path.suffix.lower() not in HDF5_SUFFIXES:
         raise InputError.single(str(path), "output", "a name ending with .h5", repr(path.suffix))
     return path

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import find_objects
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance
@@ -20,7 +21,7 @@ from metafab.decode.segmentation.segments import Regions
 _DEPTH_ERROR, _CONTRAST_ERROR = 0.05, 0.15
 #: Share of broken pixels from which a segment has no depth: at 0.55 to 0.78, depths err by up to 17 % and contrasts by
 #: up to 33 %.
-_MOST_BROKEN = 0.5
+_MOST_BROKEN = 0.55
 #: Share of broken pixels from which these explain twins that differ, and are named in a warning: at 0.19, twins differ
 #: by 2 to 3 % of their power, and depths are right within their errors.
 _NAMED_BROKEN = 0.25
@@ -45,10 +46,14 @@ class BrokenLight:
         step = prepared.downsampling.step
         clean = np.where(prepared.spoiled, 0, regions.interior)
         whole, left = (np.bincount(label.ravel(), minlength=count + 1)[1:] for label in (regions.interior, clean))
-        lit = bad | repeated(prepared.lit, step, bad.shape)
+        lit, reach = bad | repeated(prepared.lit, step, bad.shape), -(-SPOILED_PX // step)
+        places = find_objects(regions.interior, max_label=count)
         for index in np.flatnonzero((whole > 0) & (left <= LEAST_KEPT * whole)).tolist():
-            near = repeated(distance(regions.interior == index + 1) * step <= SPOILED_PX, step, bad.shape)
-            share[index] = int(np.count_nonzero(bad & near)) / max(int(np.count_nonzero(lit & near)), 1)
+            about = tuple(slice(max(side.start - reach, 0), side.stop + reach) for side in places[index])
+            fine = tuple(slice(step * side.start, step * side.stop) for side in about)
+            own = distance(regions.interior[about] == index + 1) * step <= SPOILED_PX
+            near = repeated(own, step, bad[fine].shape)
+            share[index] = int(np.count_nonzero(bad[fine] & near)) / max(int(np.count_nonzero(lit[fine] & near)), 1)
         # Pixels that are no number lie anywhere; saturated ones are the brightest, which carry the texture.
         return cls(prepared.saturated_share * share, prepared.saturated_share * float(bad.mean()))
 

@@ -60,11 +60,9 @@ def neighbour_choice(library: Library, design: Design, each: SizeTable) -> Neigh
     if not design.rules.neighbours:
         return None
     if library.neighbours is None:
-        expected, remedy = (
-            "a library with a model of neighbours",
-            "add [neighbours] to the unit cell, or leave it out",
-        )
-        raise InputError.single(design.name, "rules.neighbours", expected, "pillars among equal ones only", remedy)
+        expected, got = "a library with a model of neighbours", "pillars among equal ones only"
+        remedy = "add [neighbours] to the unit cell, or leave it out"
+        raise InputError.single(design.name, "rules.neighbours", expected, got, remedy)
     size_nm = np.multiply(each.size_dbu, each.database_unit_nm, dtype=np.float64)
     return NeighbourChoice.of(library.neighbours, size_nm, each.t)
 

@@ -13,7 +13,7 @@ Drawn = Mapping[str, str]
 
 
 def number(value: Any, digits: int = 3) -> str:
-    """Format a value: thin spaces in long integers, few digits in others, a dash for None and NaN."""
+    """Format a value: thin spaces in long integers, few digits in others, a dash for None and NaN, ∞."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return "–"
     if isinstance(value, bool):
@@ -21,6 +21,8 @@ def number(value: Any, digits: int = 3) -> str:
     if isinstance(value, int):
         return f"{value:,}".replace(",", "\u202f").replace("-", "−")
     if isinstance(value, float):
+        if math.isinf(value):
+            return "∞" if value > 0.0 else "−∞"
         if value.is_integer() and abs(value) >= 1000:
             return number(int(value))
         mantissa, _, exponent = f"{value:.{digits}g}".replace("-", "−").partition("e")

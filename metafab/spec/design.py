@@ -179,7 +179,7 @@ class Design(Checked):
         if stop_um is not None and stop_um > self.device.aperture_um:
             yield f"`optics.stop_um` must be at most `device.aperture_um`, {self.device.aperture_um:g} um"
         least_um = 2e-3 * max(self.unit_cell.cell.period_nm)
-        if stop_um is not None and stop_um < least_um:
+        if stop_um is not None and stop_um < (1.0 - 1e-9) * least_um:
             least = f"at least {least_um:g} um, two periods"
             yield f"`optics.stop_um` must be {least}, got {stop_um:g}; is it in micrometres?"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from metafab.core.errors import Fault, InputError
@@ -20,10 +21,10 @@ class PreflightFigures:
     announcements: tuple[str, ...]  #: Sentences for the user about long work and large files.
 
 
-def preflight(design: Design) -> None:
+def preflight(design: Design, *, turned: bool = False) -> None:
     """Check whether the steps of a design can work, from the design alone.
 
-    InputError with all faults that were found.
+    ``turned`` pillars are drawn with rounded vertices. InputError with all faults that were found.
     """
     from metafab import layout, mask
     from metafab.optics import Imaging
@@ -46,7 +47,7 @@ def preflight(design: Design) -> None:
             faults += error.faults
     if design.has_mask:
         faults += _unreachable_rules(design)
-        faults += _undrawable_pillars(design)
+        faults += [] if turned else _undrawable_pillars(design)
         faults += _proximity_classes(design)
         faults += _pillars_unsolved_at_angles(design)
     if not faults:
@@ -108,36 +109,38 @@ def _unreachable_rules(design: Design) -> list[Fault]:
     for axis, (name, (low, high)) in enumerate((("width", sweep.width_nm), ("length", sweep.length_nm))):
         smallest_nm = max(low, design.min_side_nm)
         if design.min_side_nm > high:
-            faults.append(_too_large_sides(design, name, high))
+            faults += _too_large_sides(design, name, high)
             smallest_nm = low
         apart_nm = cell.period_nm[axis] - smallest_nm
         if not cell.is_hexagonal and design.min_spacing_nm > apart_nm:
-            expected = (
-                f"at most {apart_nm:g} nm, the gap of two of the smallest pillars side by side along {'xy'[axis]}"
-            )
-            got = _with_bias(design.rules.min_gap_nm, design.min_spacing_nm)
+            most = _with_bias(apart_nm, -design.mask.bias_nm)
+            expected = f"at most {most}, the gap of two of the smallest pillars side by side along {'xy'[axis]}"
+            got = f"{design.rules.min_gap_nm:g} nm"
             faults.append(Fault("rules.min_gap_nm", expected, got, "sweep smaller sizes, or widen the period"))
     return faults
 
 
-def _too_large_sides(design: Design, name: str, largest_nm: float) -> Fault:
-    """The rule that asks for more than the largest width or length (``name``) of the library."""
-    cell, rules = design.unit_cell.cell, design.rules
-    of_library = f"the largest {name} of the library, {largest_nm:g} nm"
+def _too_large_sides(design: Design, name: str, largest_nm: float) -> list[Fault]:
+    """The rules that ask for more than the largest width or length (``name``) of the library."""
+    cell, rules, bias_nm = design.unit_cell.cell, design.rules, design.mask.bias_nm
     if cell.shape == "ring":
-        keys, got = "rules.min_feature_nm, rules.min_gap_nm", f"{design.min_side_nm:g} nm"
-        return Fault(keys, f"at most {of_library}", got, "sweep larger sizes")
-    ratio = rules.max_aspect_ratio
+        keys, expected = "rules.min_feature_nm, rules.min_gap_nm", f"at most the largest {name}, {largest_nm:g} nm"
+        return [Fault(keys, expected, f"{design.min_side_nm:g} nm", "sweep larger sizes")]
+    faults, ratio = [], rules.max_aspect_ratio
     if ratio is not None and cell.height_nm > ratio * largest_nm:
-        expected = f"at least {cell.height_nm / largest_nm:.4g}, the height of {cell.height_nm:g} nm over {of_library}"
-        return Fault("rules.max_aspect_ratio", expected, f"{ratio:g}", "allow more, or sweep larger sizes")
-    got = _with_bias(rules.min_feature_nm, design.min_side_nm)
-    return Fault("rules.min_feature_nm", f"at most {of_library}", got, "sweep larger sizes")
+        least = math.ceil(1e3 * cell.height_nm / largest_nm) / 1e3
+        expected = f"at least {least:g}, the height over the largest {name} of the library, {largest_nm:g} nm"
+        faults.append(Fault("rules.max_aspect_ratio", expected, f"{ratio:g}", "allow more, or sweep larger sizes"))
+    if rules.min_feature_nm - bias_nm > largest_nm:
+        expected = f"at most {_with_bias(largest_nm, bias_nm)}, the largest {name} of the library"
+        faults.append(Fault("rules.min_feature_nm", expected, f"{rules.min_feature_nm:g} nm", "sweep larger sizes"))
+    return faults
 
 
-def _with_bias(rule_nm: float, pillars_nm: float) -> str:
-    """A rule for what is drawn, and what it asks of the pillars where ``mask.bias_nm`` changes it."""
-    return f"{rule_nm:g} nm" + ("" if rule_nm == pillars_nm else f", with `mask.bias_nm` {pillars_nm:g} nm")
+def _with_bias(pillars_nm: float, change_nm: float) -> str:
+    """The limit of a rule for what is drawn, from that of the pillars and what ``mask.bias_nm`` changes it by."""
+    bias = f" ({pillars_nm:g} nm without `mask.bias_nm`)" if change_nm else ""
+    return f"{pillars_nm + change_nm:g} nm{bias}"
 
 
 def _undrawable_pillars(design: Design) -> list[Fault]:
@@ -149,8 +152,9 @@ def _undrawable_pillars(design: Design) -> list[Fault]:
         expected = "rectangular pillars for 'inverted', around which the field is rectangles"
         got = "rounded rectangles" if cell.shape == "rectangle" else f"pillars of shape '{cell.shape}'"
         faults.append(Fault("mask.tone", expected, got, "use 'positive'"))
+    has_steps = any(low < high for low, high in (sweep.width_nm, sweep.length_nm))
     half_steps = 0.5 * sweep.size_grid_nm / mask.database_unit_nm
-    if abs(half_steps - round(half_steps)) > 1e-6:
+    if has_steps and abs(half_steps - round(half_steps)) > 1e-6:
         expected = f"a unit that divides half of `sweep.size_grid_nm`, {0.5 * sweep.size_grid_nm:g} nm"
         remedy = "use a smaller unit or another `sweep.size_grid_nm`; nothing is rounded silently"
         faults.append(Fault("mask.database_unit_nm", expected, f"{mask.database_unit_nm:g} nm", remedy))

@@ -79,7 +79,7 @@ def full_stokes(job: Job, *, row_angle_deg: float, angles: int, size_step_nm: fl
     if design.scene is None:
         raise InputError.single(design.name, "scene", "a scene to photograph", "none", "add a `[scene]` table")
     require_turnable(design)
-    preflight(design)
+    preflight(design, turned=True)
     imaging, library, target = optics.Imaging.of(design), open_library(job), JonesTarget.of(design, row_angle_deg)
     progress = job.work.progress
     assignment = assign_turned(target, library, design, angles=angles, size_step_nm=size_step_nm, progress=progress)

@@ -38,7 +38,7 @@ def new_command(
     ] = None,
     substrate: Annotated[str | None, typer.Option(help="Substrate material [default: SiO2].")] = None,
     shape: Annotated[str | None, typer.Option(help="Pillar shape: rectangle, circle, ellipse, cross or ring.")] = None,
-    output: OutputFolder = None,
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the files.")] = Path(),
     json_: Json = False,
 ) -> None:
     """Write a commented design file to start from; without a kind, list the kinds.
@@ -53,14 +53,14 @@ def new_command(
     if name is None or kind is None:
         show(kinds(), json_)
         return
-    folder, files = output or Path(), list[Path]()
+    files: list[Path] = []
     lens = None if na is None and aperture_um is None else NewLens(0.2 if na is None else na, aperture_um or 100.0)
     if any(given is not None for given in (wavelength_nm, material, substrate, shape)):
         if wavelength_nm is None or material is None or library is not None:
             expected = "--wavelength-nm and --material together for a new unit cell, or --library for one of your own"
             got = "--library beside them" if library is not None else "one of them"
             raise InputError.single("new", "unit cell", expected, got)
-        library = folder / f"{name}_cell.toml"
+        library = output / f"{name}_cell.toml"
         if library.exists():
             raise InputError.single(str(library), "file", "a name that is free", "a file", "choose another name")
         cell = starting_cell(
@@ -69,14 +69,14 @@ def new_command(
             substrate=substrate or "SiO2",
             shape=shape or "rectangle",
             numerical_aperture=0.0 if lens is None else lens.numerical_aperture,
-            folder=folder,
+            folder=output,
         )
         with whole_file(library) as part:
             part.write_text(cell.text, encoding="utf-8")
         files = [library]
         announce(coverage_warning(cell.reach_rad))
     try:
-        written = write_new(name, kind, folder, library, lens)
+        written = write_new(name, kind, output, library, lens)
     except InputError:
         for path in files:
             path.unlink()

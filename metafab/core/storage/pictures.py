@@ -183,9 +183,10 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
             # A damaged size field may claim billions of strips.
             if max(page.imagewidth, page.imagelength) > _LONGEST_SIDE_PX:
                 raise ValueError(f"{page.imagelength} x {page.imagewidth} pixels, more than {_LONGEST_SIDE_PX} a side")
-            # Pages that were written one by one are a series each; thumbnails are reduced ones.
-            pictures = [one for one in file.series if not one.keyframe.is_reduced] or list(file.series[:1])
-            kinds = {(one.shape, one.dtype): None for one in pictures}
+            # Pages that were written one by one are a series each; thumbnails and masks of transparency are no pages.
+            series = [one for one in file.series if not (one.keyframe.is_reduced or one.keyframe.is_mask)]
+            pictures = series or list(file.series[:1])
+            kinds = {(tuple(n for n in one.shape if n != 1), one.dtype): None for one in pictures}
             if len(kinds) > 1:
                 got = ", ".join(f"{' x '.join(map(str, shape))} {dtype}" for shape, dtype in list(kinds)[:_MOST_NAMES])
                 remedy = "save the wanted pages alone in a file"
@@ -193,7 +194,7 @@ def _decoders() -> dict[str, Callable[[Path], np.ndarray]]:
             require_few(path, *pictures[0].shape, *([len(pictures)] if len(pictures) > 1 else []))
             _require_modest_strips(path, file)
             pages = [np.asarray(one.asarray()) for one in pictures]
-            return pages[0] if len(pages) == 1 else np.stack(pages)
+            return pages[0] if len(pages) == 1 else np.stack([np.squeeze(page) for page in pages])
 
     def png(path: Path) -> np.ndarray:
         from PIL import Image

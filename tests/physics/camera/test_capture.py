@@ -168,7 +168,7 @@ def test_every_object_outside_the_calibration_is_named_with_its_depths(psf: Psf)
     assert tilted.field == "objects[2].depth_m" and "by its tilt" in tilted.got
     drifting = dataclasses.replace(inside, velocity_m_per_s=(0.0, 0.0, 0.1))
     with pytest.raises(InputError, match=r"objects\[1\].*0.003\d* to 0.013\d* m by its tilt, bulge or motion"):
-        next(film(scene(inside, drifting, frames=3, frame_interval_s=0.05, exposure_s=0.001), psf))
+        list(film(scene(inside, drifting, frames=3, frame_interval_s=0.05, exposure_s=0.001), psf))
 
 
 def test_overlapping_images_are_refused(psf: Psf) -> None:
@@ -187,3 +187,10 @@ def test_full_wells_hot_pixels_and_whole_counts(psf: Psf) -> None:
     assert (frame.frame == 4095.0).mean() == pytest.approx(0.01, abs=0.002)
     # The dark current's mean is taken off; 576 pixels leave 2.3 electrons of uncertainty.
     assert np.median(frame.frame[60:84, 60:84]) == pytest.approx(3000.0, abs=10.0)
+
+
+def test_an_object_whose_visible_part_is_calibrated_is_exposed(psf: Psf) -> None:
+    """The corners of an ellipse's box, and what lies outside the field, may be at any depth."""
+    round_one = SceneObject(depth_m=0.003, tilt=(0.16, 0.16), size=(0.08, 0.08), outline="ellipse")
+    outside = SceneObject(depth_m=0.0041, centre=(0.6, 0.0), size=(0.05, 0.05))
+    assert capture(scene(round_one, outside), psf).frame.max() > 0.0

@@ -228,5 +228,10 @@ def test_pages_that_were_written_one_by_one_are_all_read_and_unlike_ones_refused
                 file.write(pages[1, ::2, ::2], subfiletype=1)
     np.testing.assert_array_equal(read_array(tmp_path / "alike.tif"), pages)
     np.testing.assert_array_equal(read_grey(tmp_path / "thumbnail.tif"), pages[0])
+    with tifffile.TiffWriter(tmp_path / "mixed.tif") as file:
+        file.write(pages[:1])
+        file.write(pages[1])
+        file.write(np.ones((2, 5), dtype=bool), subfiletype=4, photometric="mask")  # of transparency
+    np.testing.assert_array_equal(read_array(tmp_path / "mixed.tif"), pages[:2])
     with pytest.raises(InputError, match="4 x 5 uint16, 2 x 5 uint16"):
         read_array(tmp_path / "unlike.tif")
