@@ -12,7 +12,7 @@ from metafab import camera, decode, optics
 from metafab.optics import Psf
 from metafab.spec import Scene, load_design, load_scene
 from metafab.steps.job import Job
-from metafab.steps.optics import calibration, calibration_depths, mask_source
+from metafab.steps.optics import WrittenLens, calibration, calibration_depths, mask_source
 from tests.conftest import MainJob
 from tests.main_job import ROOT, SMALL
 
@@ -32,7 +32,7 @@ def displaced(main_job: MainJob, tmp_path_factory: pytest.TempPathFactory) -> Ps
     """The pair of the same written mask on a sensor elsewhere."""
     design = load_design(SMALL)
     moved = replace(design, sensor=replace(design.sensor, focus_depth_m=FOCUS_M))
-    return calibration(Job(moved, tmp_path_factory.mktemp("displaced")), main_job.folder / "layout.oas")
+    return calibration(Job(moved, tmp_path_factory.mktemp("displaced")), WrittenLens(main_job.folder / "layout.oas"))
 
 
 def calibrated(predicted: Psf, camera_pair: Psf, folder: Path) -> tuple[Psf, decode.CameraFit]:

@@ -81,7 +81,7 @@ def cases(tmp_path_factory: pytest.TempPathFactory, smooth_library: Library, sma
         "packed.tif": read_grey,
         "grey.npy": read_grey,
         "phase.npy": lambda path: load_array(path, 1.0, "phase", 2.0),
-        "phase.csv": lambda path: load_array(path, 1.0, "phase", 0.5),
+        "phase.csv": lambda path: load_array(path, 1.0, "phase", 1.0),
         "index.csv": lambda path: read_table(path, "index"),
         "library.h5": lambda path: (library.load(path), unit_cell_of_library(path)),
         "psf.h5": optics.load,

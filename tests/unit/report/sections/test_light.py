@@ -65,9 +65,9 @@ def test_figures_of_corners_stand_in_line() -> None:
 
 
 def test_what_is_no_number_is_shown_as_such() -> None:
-    """A summary has null where a pair does not turn, and "inf" where nothing is unwanted."""
+    """A summary has null where a pair does not turn, and "inf" where nothing is unwanted: a dash and ∞."""
     page = _page(ROW, replace(ROW, extinction_ratio=math.inf, depth_error_m=math.nan))
-    assert ">inf</td>" in page
+    assert ">∞</td>" in page
     assert ">–</td>" in page
 
 
