@@ -14,8 +14,7 @@ from metafab.core.errors import InputError
 def require_file_output(path: Path, read: Iterable[Path] = ()) -> None:
     """Refuse the name of a folder for a result that is one file, and what :func:`require_output` refuses."""
     require_output(path, read)
-    if path.is_dir():
-        raise InputError.single("--output", "output", "the name of a file", f"the folder {path}", "name a file in it")
+    _require_no_folder(path)
 
 
 def require_folder_output(path: Path, read: Iterable[Path] = ()) -> None:
@@ -51,11 +50,15 @@ def require_hdf5_name(path: Path | None) -> Path | None:
         return None
     from metafab.core.storage.files import HDF5_SUFFIXES
 
-    if path.is_dir():
-        raise InputError.single("--output", "output", "the name of a file", f"the folder {path}", "name a file in it")
+    _require_no_folder(path)
     if path.suffix.lower() not in HDF5_SUFFIXES:
         raise InputError.single(str(path), "output", "a name ending with .h5", repr(path.suffix))
     return path
+
+
+def _require_no_folder(path: Path) -> None:
+    if path.is_dir():
+        raise InputError.single("--output", "output", "the name of a file", f"the folder {path}", "name a file in it")
 
 
 #: What may stand at the place of ``--output``, by its metavar.

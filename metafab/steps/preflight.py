@@ -27,12 +27,15 @@ def preflight(design: Design, *, turned: bool = False) -> None:
     ``turned`` pillars are drawn with rounded vertices. InputError with all faults that were found.
     """
     from metafab import layout, mask
+    from metafab.mask.drawing.stamps import require_invertible
     from metafab.optics import Imaging
     from metafab.phase.picture import require_paintable
 
     faults: list[Fault] = []
     of_lattice = (
-        (layout.Aperture.of, layout.field_sites, mask.shapes_beside) if design.has_mask else (layout.lattice_of,)
+        (layout.Aperture.of, layout.field_sites, mask.shapes_beside, require_invertible)
+        if design.has_mask
+        else (layout.lattice_of,)
     )
     for check in (Imaging.of, *of_lattice, require_paintable):
         try:
@@ -47,7 +50,8 @@ def preflight(design: Design, *, turned: bool = False) -> None:
             faults += error.faults
     if design.has_mask:
         faults += _unreachable_rules(design)
-        faults += [] if turned else _undrawable_pillars(design)
+        if not turned:
+            faults += _sizes_off_the_unit(design)
         faults += _proximity_classes(design)
         faults += _pillars_unsolved_at_angles(design)
     if not faults:
@@ -143,22 +147,16 @@ def _with_bias(pillars_nm: float, change_nm: float) -> str:
     return f"{pillars_nm + change_nm:g} nm{bias}"
 
 
-def _undrawable_pillars(design: Design) -> list[Fault]:
-    """A tone or a database unit that the pillars of the unit cell do not allow."""
-    cell, mask, sweep = design.unit_cell.cell, design.mask, design.unit_cell.sweep
-    faults = []
-    is_drawn_round = mask.draw_corners and bool(cell.corner_radius_nm)
-    if mask.tone == "inverted" and (cell.shape != "rectangle" or is_drawn_round):
-        expected = "rectangular pillars for 'inverted', around which the field is rectangles"
-        got = "rounded rectangles" if cell.shape == "rectangle" else f"pillars of shape '{cell.shape}'"
-        faults.append(Fault("mask.tone", expected, got, "use 'positive'"))
+def _sizes_off_the_unit(design: Design) -> list[Fault]:
+    """A database unit on which the edges of the library's sizes do not lie."""
+    sweep, unit_nm = design.unit_cell.sweep, design.mask.database_unit_nm
     has_steps = any(low < high for low, high in (sweep.width_nm, sweep.length_nm))
-    half_steps = 0.5 * sweep.size_grid_nm / mask.database_unit_nm
-    if has_steps and abs(half_steps - round(half_steps)) > 1e-6:
-        expected = f"a unit that divides half of `sweep.size_grid_nm`, {0.5 * sweep.size_grid_nm:g} nm"
-        remedy = "use a smaller unit or another `sweep.size_grid_nm`; nothing is rounded silently"
-        faults.append(Fault("mask.database_unit_nm", expected, f"{mask.database_unit_nm:g} nm", remedy))
-    return faults
+    half_step_nm = 0.5 * sweep.size_grid_nm
+    if not has_steps or abs(half_step_nm / unit_nm - round(half_step_nm / unit_nm)) <= 1e-6:
+        return []
+    expected = f"a unit that divides half of `sweep.size_grid_nm`, {half_step_nm:g} nm"
+    remedy = "use a smaller unit or another `sweep.size_grid_nm`; nothing is rounded silently"
+    return [Fault("mask.database_unit_nm", expected, f"{unit_nm:g} nm", remedy)]
 
 
 def _proximity_classes(design: Design) -> list[Fault]:

@@ -114,11 +114,11 @@ def find_regions(
     regions = with_plain_objects(segments, prepared, volume)
     if not regions.depths:
         return regions
-    step, refused = prepared.downsampling.step, unknown_objects(prepared, regions)
-    unknown = refused
+    step, unknown = prepared.downsampling.step, unknown_objects(prepared, regions)
+    refused = unknown
     if refined and optics is not None:
         regions, about_bars = with_bars(regions, prepared, volume, optics)
-        refused = refused | about_bars
+        refused = unknown | about_bars
         regions = with_modelled_outlines(prepared, regions, optics, volume)
     label = regions.grown
 

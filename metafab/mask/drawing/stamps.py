@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.errors import InputError
-from metafab.layout import PillarMap, PillarTile
+from metafab.layout import Outline, PillarMap, PillarTile
 from metafab.layout.turned import outline_of
 from metafab.mask.drawing.cells import Stamp, pillar_stamp
 from metafab.mask.drawing.copies import Variant, biases_dbu, lens_copies, variants
@@ -16,6 +16,18 @@ from metafab.mask.drawing.dose import DoseClasses, dose_patterns
 from metafab.mask.drawing.inverse import FIELD_RECTANGLES, InvertedField
 from metafab.mask.shapes.hierarchy import IntArray
 from metafab.spec import Design
+
+
+def require_invertible(design: Design, outline: Outline | None = None) -> None:
+    """Refuse (InputError) the inverted mask of pillars that are not drawn as rectangles.
+
+    ``outline`` is that of the design by default.
+    """
+    drawn = Outline.of(design) if outline is None else outline
+    if design.mask.tone == "inverted" and not drawn.is_rectangle:
+        expected = "rectangular pillars, around which the field is rectangles"
+        shape = "circle" if design.unit_cell.cell.shape == "circle" else drawn.shape
+        raise InputError.single("mask", "mask.tone", expected, f"pillars of shape '{shape}'", "use 'positive'")
 
 
 class Stamps:
@@ -46,10 +58,8 @@ class Stamps:
             for pattern in sorted(set(patterns)) or (0,)
         }
         self._pillars: dict[tuple[int, Variant], Stamp] = {}
+        require_invertible(design, self._outline)
         inverted = design.mask.tone == "inverted"
-        if inverted and not self._outline.is_rectangle:
-            expected, got = "rectangular pillars, around which the field is rectangles", repr(self._outline.shape)
-            raise InputError.single("mask", "tone", expected, f"pillars of shape {got}", "use 'positive'")
         self._field = InvertedField(drawn, design.mask.field_layer, biases_dbu(self.copies)) if inverted else None
 
     def of(self, tile: PillarTile) -> Iterator[tuple[PillarTile, Stamp]]:

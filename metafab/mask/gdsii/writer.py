@@ -119,8 +119,7 @@ class GdsiiWriter(MaskWriter):
         lattice = drawing.lattice
         reach = max(n * p for n, p in zip(lattice.shape[::-1], lattice.period_dbu, strict=True)) // 2 + 1
         reach += max((max(abs(copy.x_dbu), abs(copy.y_dbu)) for copy in drawing.copies), default=0)
-        if reach >= 2**31:
-            raise _out_of_range(reach, "any")
+        _require_reach(reach)
         self._spare: list[NDArray[np.int32]] = []
         self.encoder = GdsiiEncoder(drawing, self._spare)
         unit_m = lattice.database_unit_nm * 1e-9
@@ -146,21 +145,19 @@ class GdsiiWriter(MaskWriter):
 
     def _draw(self, layer: int, rectangles: IntArray) -> None:
         reach = int(np.abs(rectangles).sum(axis=1).max(initial=0))
-        if reach >= 2**31:
-            raise _out_of_range(reach, f"{layer}/0")
+        _require_reach(reach)
         for x, y, width, height in rectangles.tolist():
             corners = np.array([[x, y], [x + width, y], [x + width, y + height], [x, y + height]])
             self._write(boundary(corners, layer, 0).byteswap().tobytes())
 
     def _draw_polygon(self, layer: int, datatype: int, corners: IntArray) -> None:
         reach = int(np.abs(corners).max())
-        if reach >= 2**31:
-            raise _out_of_range(reach, f"{layer}/{datatype}")
+        _require_reach(reach)
         self._write(boundary(corners, layer, datatype).byteswap().tobytes())
 
     def _add_text(self, layer: int, kind: int, at_dbu: tuple[int, int], words: str) -> None:
-        if max(map(abs, at_dbu)) >= 2**31 or max(layer, kind) >= 2**15:
-            raise _out_of_range(max(map(abs, at_dbu)), f"{layer}/{kind}")
+        _require_reach(max(map(abs, at_dbu)))
+        _require_layer(layer, kind)
         of = record(records.LAYER, struct.pack(">H", layer)) + record(records.TEXTTYPE, struct.pack(">H", kind))
         place = record(records.XY, struct.pack(">2i", *at_dbu)) + record(records.STRING, text(words))
         self._write(record(records.TEXT) + of + place + record(records.ENDEL))
@@ -216,8 +213,7 @@ def boundary(corners: IntArray, layer: int, datatype: int) -> NDArray[np.int32]:
 
     Corners have the shape (n, 2) and are not closed. InputError for a layer or datatype beyond 15 bits.
     """
-    if max(layer, datatype) > _LARGEST:
-        raise _out_of_range(0, f"{layer}/{datatype}")
+    _require_layer(layer, datatype)
     closed = np.concatenate([corners, corners[:1]]).astype(">i4").tobytes()
     data = (
         record(records.BOUNDARY)
@@ -234,12 +230,20 @@ def boundary_template(layer: int, datatype: int) -> NDArray[np.int32]:
     return boundary(np.zeros((4, 2), dtype=np.int64), layer, datatype)
 
 
-def _out_of_range(reach: int, layer: str) -> InputError:
-    if reach > np.iinfo(np.int32).max:
-        expected, got = "coordinates of 32 bits for 'gds'", f"{reach} database units"
-    else:
-        expected, got = f"layers and datatypes of at most {_LARGEST} for 'gds'", f"layer {layer}"
-    return InputError.single("mask", "formats", expected, got, "write 'oas', which has no such limits")
+def _require_reach(reach_dbu: int) -> None:
+    """InputError for coordinates that GDSII does not hold."""
+    if reach_dbu >= 2**31:
+        raise _beyond_gdsii("coordinates of 32 bits", f"{reach_dbu} database units")
+
+
+def _require_layer(layer: int, datatype: int) -> None:
+    """InputError for a layer or datatype that GDSII does not hold."""
+    if max(layer, datatype) > _LARGEST:
+        raise _beyond_gdsii(f"layers and datatypes of at most {_LARGEST}", f"layer {layer}/{datatype}")
+
+
+def _beyond_gdsii(expected: str, got: str) -> InputError:
+    return InputError.single("mask", "formats", f"{expected} for 'gds'", got, "write 'oas', which has no such limits")
 
 
 @compiled

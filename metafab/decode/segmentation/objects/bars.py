@@ -107,13 +107,14 @@ def with_bars(
         The segments, and the pixels of bars whose depth could not be measured: shape (n_y, n_x).
     """
     shape, step = regions.grown.shape, prepared.downsampling.step
-    refused, behind = np.zeros(shape, dtype=bool), surfaces_behind(regions, step)
+    refused, is_surface = np.zeros(shape, dtype=bool), is_wide(regions, step)
+    behind = _surfaces_behind(regions, is_surface)
     if not behind.any():
         return regions, refused
     misfit = misfit_at(prepared, volume, regions.vergence_per_m(behind), regions.interior)
-    mixtures = _mixtures(regions, misfit)
+    mixtures = is_surface & _mixtures(regions, misfit)
     if mixtures.any():
-        behind = surfaces_behind(regions, step, mixtures)
+        behind = _surfaces_behind(regions, is_surface & ~mixtures)
         misfit = misfit_at(prepared, volume, regions.vergence_per_m(behind), regions.interior)
     found = ridges(behind, misfit, prepared.spoiled, step)
     if not found:
@@ -159,14 +160,11 @@ def _mixtures(regions: Regions, misfit: Misfit) -> NDArray[np.bool_]:
     return np.asarray((2 * foreign > pixels) & (np.arange(pixels.size) > 0))
 
 
-def surfaces_behind(regions: Regions, step: int, mixtures: NDArray[np.bool_] | None = None) -> NDArray[np.int32]:
-    """The wide segment at or nearest to each pixel of a segment: shape (n_y, n_x), 0 for none.
+def _surfaces_behind(regions: Regions, is_surface: NDArray[np.bool_]) -> NDArray[np.int32]:
+    """The surface at or nearest to each pixel of a segment: shape (n_y, n_x), 0 for none.
 
-    ``mixtures`` of two depths, by number, shape (n_segments + 1,), are no surfaces.
+    ``is_surface``: whether each segment is one, by number, shape (n_segments + 1,).
     """
-    is_surface = is_wide(regions, step)
-    if mixtures is not None:
-        is_surface &= ~mixtures
     wide = is_surface[regions.grown]
     if not wide.any():
         return np.zeros_like(regions.grown)
