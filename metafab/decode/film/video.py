@@ -24,7 +24,15 @@ from metafab.decode.decoder import DecodedFrame, Decoder
 from metafab.decode.evaluation import evaluated
 from metafab.decode.film.changes import ChangeDetector, PatchMeans, changed_rectangles
 from metafab.decode.film.surface_planes import continued_surface, with_planes_of_surface
-from metafab.decode.film.tracking import Part, TrackedRegions, planes_around, remeasured, track, without_slivers
+from metafab.decode.film.tracking import (
+    ChangedPart,
+    Part,
+    TrackedRegions,
+    planes_around,
+    remeasured,
+    track,
+    without_slivers,
+)
 from metafab.decode.image import Image4D
 from metafab.decode.images.compose import PixelMaps, focus_depths, lit_pixels
 from metafab.decode.images.contrast_outlines import moved_outlines
@@ -302,14 +310,15 @@ class VideoDecoder:
         pixels = PixelDepth(before.vergence_per_m.copy(), before.relative_error.copy(), before.claimed.copy())
         separation = layer_separation_per_m(volume)
         for one in rectangles:
-            part, around, inside, local = one.part, one.around, one.inside, one.prepared
-            local_volume = volume.within(*around)
-            depth, renewed = textured_pixel_depth(local, local_volume), changed[part]
+            change, inside, local = ChangedPart(one.part, one.around, changed[one.part]), one.inside, one.prepared
+            part, renewed = change.part, change.changed
+            local_volume = volume.within(*change.around)
+            depth = textured_pixel_depth(local, local_volume)
             pixels.vergence_per_m[part][renewed] = depth.vergence_per_m[inside][renewed]
             pixels.relative_error[part][renewed] = depth.relative_error[inside][renewed]
             pixels.claimed[part][renewed] = depth.claimed[inside][renewed]
-            known = planes_around(regions, part, around, renewed, separation)
-            numerics, here = self.decoder.numerics, pixels.within(*around)
+            known = planes_around(regions, change, separation)
+            numerics, here = self.decoder.numerics, pixels.within(*change.around)
             # Segments that continue keep their depth: outliers are left out of the others once. So do the planes of a
             # continuous surface, whose depths show their slopes better.
             current = find_regions(
@@ -327,8 +336,8 @@ class VideoDecoder:
                 vergence, step = current.vergence_per_m(current.grown), local.downsampling.step
                 elsewhere = seen_elsewhere(here, current.grown, vergence, step)
                 current = replace(current, right=np.minimum(current.right, 1.0 - elsewhere))
-            tracked = track(regions, current, part, around, renewed, separation, here)
-            tracked = without_slivers(tracked, here, part, around, local.downsampling.step)
+            tracked = track(regions, current, change, here, separation)
+            tracked = without_slivers(tracked, change, here, local.downsampling.step)
             regions, number = tracked.regions, tracked.number[number]
         return pixels, TrackedRegions(regions, number)
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from metafab.decode.film.tracking import TrackedRegions, planes_around, remeasured, track, without_slivers
+from metafab.decode.film.tracking import ChangedPart, TrackedRegions, planes_around, remeasured, track, without_slivers
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.segmentation.planes import Plane
@@ -17,8 +17,10 @@ from metafab.decode.segmentation.segments import Regions, SegmentDepth
 
 SHAPE, STEP_PER_M = (40, 60), 0.1
 PART, ABOUT = (slice(10, 30), slice(20, 40)), (slice(5, 35), slice(15, 45))
-ALL = np.ones((20, 20), dtype=bool)
+ALL = ChangedPart(PART, ABOUT, np.ones((20, 20), dtype=bool))
 ROAD = Plane(2.0, (0.01, 0.0), (20.0, 30.0))
+#: Pixels about the part that claim no depth: planes alone tell which segments continue.
+UNKNOWN = PixelDepth(np.full((30, 30), np.nan), np.full((30, 30), np.inf), np.zeros((30, 30), dtype=bool))
 
 
 def regions(label: np.ndarray, *planes: Plane) -> Regions:
@@ -48,7 +50,7 @@ def test_what_goes_on_keeps_its_depth_and_what_moves_has_its_own() -> None:
     # The road is not as well known from the part: half a step would make it another one.
     poorer = Plane(2.03, (0.01, 0.0), (15.0, 15.0))
     found = now((slice(12, 22), slice(14, 19)), Plane(2.6, (0.0, 0.02), (17.0, 16.5)), poorer)
-    tracked = track(last, found, PART, ABOUT, ALL, STEP_PER_M)
+    tracked = track(last, found, ALL, UNKNOWN, STEP_PER_M)
     both, number = tracked.regions, tracked.number
     assert [depth.vergence_per_m for depth in both.depths] == [2.0, 3.0, 2.6]
     assert both.depths[0] == last.depths[0]
@@ -67,10 +69,10 @@ def test_pixels_of_a_continuous_surface_keep_their_depth_where_nothing_changed()
     surface = 2.0 + np.random.default_rng(1).random(SHAPE)
     last = replace(regions(street(), ROAD, Plane(3.0), Plane(2.5)), surface_per_m=surface)
     found = now((slice(12, 22), slice(14, 19)), Plane(2.6), Plane(2.03, (0.01, 0.0), (15.0, 15.0)))
-    changed = np.zeros_like(ALL)
+    changed = np.zeros((20, 20), dtype=bool)
     changed[5:] = True
     found.grown[20] = 0  # row 25 of the window: no depth now, but a place at which it is made sharp
-    tracked = track(last, found, PART, ABOUT, changed, STEP_PER_M).regions
+    tracked = track(last, found, ChangedPart(PART, ABOUT, changed), UNKNOWN, STEP_PER_M).regions
     new = np.zeros(SHAPE, dtype=bool)
     new[PART] = changed
     new[25] = False
@@ -91,7 +93,7 @@ def now_car() -> np.ndarray:
 def test_another_depth_beside_the_same_pixels_is_another_segment() -> None:
     last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
     found = now(None, Plane(9.0), Plane(2.2))
-    tracked = track(last, found, PART, ABOUT, ALL, STEP_PER_M)
+    tracked = track(last, found, ALL, UNKNOWN, STEP_PER_M)
     both, number = tracked.regions, tracked.number
     # That of which no pixel is left in the part has no number.
     assert [depth.vergence_per_m for depth in both.depths] == [2.0, 3.0, 2.2]
@@ -110,8 +112,8 @@ def test_a_segment_whose_pixels_lie_on_a_plane_continues_it_though_its_own_tilt_
     last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
     found = now(None, Plane(9.0), Plane(2.2, (0.05, -0.05), (15.0, 15.0)))
     pixels = measured(ROAD.over(SHAPE)[ABOUT])
-    assert len(track(last, found, PART, ABOUT, ALL, STEP_PER_M).regions.depths) == 3
-    tracked = track(last, found, PART, ABOUT, ALL, STEP_PER_M, pixels).regions
+    assert len(track(last, found, ALL, UNKNOWN, STEP_PER_M).regions.depths) == 3
+    tracked = track(last, found, ALL, pixels, STEP_PER_M).regions
     assert [depth.plane for depth in tracked.depths] == [ROAD, Plane(3.0)]
 
 
@@ -122,14 +124,14 @@ def test_slivers_in_the_part_join_the_neighbour_that_their_pixels_lie_on() -> No
     last = regions(label, ROAD, Plane(3.0), Plane(2.5), Plane(2.8), Plane(2.4))
     before = TrackedRegions(last, np.arange(6, dtype=np.int32))
     for depth, owner in ((2.5, 3), (2.0, 1)):
-        found = without_slivers(before, measured(np.full((30, 30), depth)), PART, ABOUT, 3)
+        found = without_slivers(before, ALL, measured(np.full((30, 30), depth)), 3)
         assert (found.regions.grown[15:25, 30:32] == owner).all()
         assert not found.regions.interior[15:25, 30:32].any()
         assert (found.regions.label[0, :3] == 4).all()
         assert found.number.tolist() == [0, 1, 2, 3, owner, 4]
         assert [one.vergence_per_m for one in found.regions.depths] == [2.0, 3.0, 2.5, 2.4]
     # On pixels twice as wide it is a segment.
-    assert without_slivers(before, measured(np.full((30, 30), 2.5)), PART, ABOUT, 6) is before
+    assert without_slivers(before, ALL, measured(np.full((30, 30), 2.5)), 6) is before
 
 
 def test_what_has_gone_leaves_no_number_behind() -> None:
@@ -138,7 +140,7 @@ def test_what_has_gone_leaves_no_number_behind() -> None:
     label = np.where(label == 2, 3, np.where(label == 3, 2, label))
     last = regions(label, ROAD, Plane(2.5), Plane(3.0))
     found = regions(np.ones((30, 30)), Plane(2.0, (0.01, 0.0), (15.0, 15.0)))
-    tracked = track(last, found, PART, ABOUT, ALL, STEP_PER_M)
+    tracked = track(last, found, ALL, UNKNOWN, STEP_PER_M)
     both, number = tracked.regions, tracked.number
     assert [depth.vergence_per_m for depth in both.depths] == [2.0, 3.0]
     assert (both.label[:, 50:55] == 2).all()
@@ -148,35 +150,35 @@ def test_what_has_gone_leaves_no_number_behind() -> None:
 
 def test_nothing_in_the_part_and_nothing_in_the_last_frame() -> None:
     last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
-    tracked = track(last, regions(np.zeros((30, 30))), PART, ABOUT, ALL, STEP_PER_M)
+    tracked = track(last, regions(np.zeros((30, 30))), ALL, UNKNOWN, STEP_PER_M)
     both = tracked.regions
     assert not both.label[PART].any()
     assert len(both.depths) == 2
     nothing = regions(np.zeros(SHAPE))
-    tracked = track(nothing, now(None, Plane(9.0), Plane(2.2)), PART, ABOUT, ALL, STEP_PER_M)
+    tracked = track(nothing, now(None, Plane(9.0), Plane(2.2)), ALL, UNKNOWN, STEP_PER_M)
     both, number = tracked.regions, tracked.number
     assert (both.label[PART] == both.label.max()).all()
     assert both.label[:10].max() == 0
     assert number.tolist() == [0]
-    assert planes_around(nothing, PART, ABOUT, ALL, STEP_PER_M) == []
+    assert planes_around(nothing, ALL, STEP_PER_M) == []
 
 
 def test_a_part_without_segments_leaves_the_probabilities_of_all_others() -> None:
     """Of a part in the dark no probability is computed: the rest of the frame keeps its own, and so do later frames."""
     last = replace(regions(street(), ROAD, Plane(3.0), Plane(2.5)), right=np.full(SHAPE, 0.7))
-    dark = track(last, regions(np.zeros((30, 30))), PART, ABOUT, ALL, STEP_PER_M).regions
+    dark = track(last, regions(np.zeros((30, 30))), ALL, UNKNOWN, STEP_PER_M).regions
     want = np.full(SHAPE, 0.7)
     want[PART] = 1.0
     np.testing.assert_array_equal(dark.right, want)
-    lit = track(dark, replace(now(None, Plane(9.0), Plane(2.2)), right=np.full((30, 30), 0.6)), PART, ABOUT, ALL, 0.1)
+    judged = replace(now(None, Plane(9.0), Plane(2.2)), right=np.full((30, 30), 0.6))
+    lit = track(dark, judged, ALL, UNKNOWN, STEP_PER_M)
     want[PART] = 0.6
     np.testing.assert_array_equal(lit.regions.right, want)
     # A film that starts in the dark; and one that is decoded fast, whose segments are not judged.
-    nothing, judged = regions(np.zeros(SHAPE)), replace(now(None, Plane(9.0), Plane(2.2)), right=np.full((30, 30), 0.6))
-    started = track(nothing, judged, PART, ABOUT, ALL, STEP_PER_M).regions.right
+    started = track(regions(np.zeros(SHAPE)), judged, ALL, UNKNOWN, STEP_PER_M).regions.right
     assert started is not None
     assert (started[PART] == 0.6).all()
-    assert track(last, now(None, Plane(9.0), Plane(2.2)), PART, ABOUT, ALL, STEP_PER_M).regions.right is None
+    assert track(last, now(None, Plane(9.0), Plane(2.2)), ALL, UNKNOWN, STEP_PER_M).regions.right is None
 
 
 @settings(max_examples=60, deadline=None)
@@ -190,7 +192,7 @@ def test_labels_and_depths_always_belong_together(seed: int, before: int, after:
         rng.integers(0, after + 1, (6, 6)).repeat(5, 0).repeat(5, 1), *(Plane(1.0 + k) for k in range(after))
     )
     affected = rng.integers(0, 2, (4, 4)).repeat(5, 0).repeat(5, 1).astype(bool)
-    tracked = track(last, found, PART, ABOUT, affected, STEP_PER_M)
+    tracked = track(last, found, ChangedPart(PART, ABOUT, affected), UNKNOWN, STEP_PER_M)
     both, number = tracked.regions, tracked.number
     outside = np.ones(SHAPE, dtype=bool)
     outside[PART] = ~affected
@@ -206,7 +208,7 @@ def test_labels_and_depths_always_belong_together(seed: int, before: int, after:
 def test_known_planes_are_those_around_the_part_in_its_own_picture() -> None:
     last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
     # The car is in the part, the post beyond what lies around it.
-    assert planes_around(last, PART, ABOUT, ALL, STEP_PER_M) == [Plane(2.0, (0.01, 0.0), (15.0, 15.0))]
+    assert planes_around(last, ALL, STEP_PER_M) == [Plane(2.0, (0.01, 0.0), (15.0, 15.0))]
 
 
 @pytest.mark.parametrize(("pixels", "again"), [(100.0, True), (1900.0, False)])
@@ -244,9 +246,9 @@ def test_a_part_on_a_continuous_surface_takes_its_depths_and_all_else_keeps_its_
     last = regions(street(), ROAD, Plane(3.0), Plane(2.5))
     planes = last.vergence_per_m(last.grown)
     current = replace(last.within(*ABOUT), surface_per_m=(planes + 0.05)[ABOUT], right=np.full(SHAPE, 0.6)[ABOUT])
-    tracked = track(replace(last, right=np.ones(SHAPE)), current, PART, ABOUT, ALL, STEP_PER_M).regions
+    tracked = track(replace(last, right=np.ones(SHAPE)), current, ALL, UNKNOWN, STEP_PER_M).regions
     assert tracked.continuous and tracked.right is not None
     expected = planes.copy()
     expected[PART] += 0.05
     np.testing.assert_allclose(tracked.vergence_per_m(tracked.grown), np.where(tracked.grown > 0, expected, np.nan))
-    assert (tracked.right[PART][ALL] == 0.6).all()
+    assert (tracked.right[PART] == 0.6).all()
