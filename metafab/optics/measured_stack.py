@@ -16,6 +16,7 @@ import scipy.fft
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
+from metafab.core.numeric.spread import normal_sigma
 from metafab.optics.geometry.imaging import Imaging
 from metafab.optics.measures.centring import Centring, find_centre
 from metafab.optics.measures.metrics import orientation_deg
@@ -35,8 +36,6 @@ _DARK_SIGMAS = 6.0
 _MOST_PEAK = 1e50
 #: Pixels of a picture that share exactly its largest value without saturation: four by a centred, symmetric spot.
 _MOST_PEAKS = 4
-#: Standard deviation of normal noise over its median absolute deviation.
-_MAD = 1.4826
 #: Share of a picture's light within the border from which the window is called too small.
 _CROWDED = 0.01
 #: Distance of the sensor where it is not given, mm; the decoder's depth does not depend on it.
@@ -280,7 +279,7 @@ def _without_background(stack: FloatArray, depth_m: FloatArray) -> tuple[FloatAr
     """
     ring = stack[..., _border(stack.shape[2:]) > 0.0]
     background = np.median(ring, axis=-1)
-    noise = _MAD * np.median(np.abs(ring - background[..., None]), axis=-1)
+    noise = normal_sigma(ring - background[..., None], axis=-1)
     lit = stack - background[..., None, None]
     lit = np.where(lit > _SIGMAS * noise[..., None, None], lit, 0.0)
     dark = np.argwhere(lit.max(axis=(-2, -1)) <= _DARK_SIGMAS * noise)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.numeric.spread import normal_sigma
 from metafab.spec.fields import LARGEST
 
 #: Share of the light on both of its sides below which a pixel is dark between bright ones, and standard deviations of
@@ -19,8 +20,6 @@ _SIDES = ((1, 1), (1, 2), (2, 1))
 _DEAD_SHARE, _LEAST_LIT_PX = 0.8, 16
 #: Share of the lit pixels, and number, above which a frame has a pattern, such as a mosaic of colours.
 _MOST_DEAD, _FEWEST_OF_PATTERN = 0.05, 500
-#: Standard deviation of a normal distribution over the median of its absolute values.
-_SIGMA_PER_MEDIAN = 1.4826
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ def dark_noise_e(frame: FloatArray) -> float:
     be dead are below zero: it then has no dark areas, or its file holds no values below the black level.
     """
     below = -frame[frame < 0.0]
-    return _SIGMA_PER_MEDIAN * float(np.median(below)) if below.size > _MOST_DEAD * frame.size else 0.0
+    return float(normal_sigma(below)) if below.size > _MOST_DEAD * frame.size else 0.0
 
 
 def _beside(light: FloatArray, direction: tuple[int, int]) -> FloatArray:

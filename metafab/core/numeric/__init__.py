@@ -11,4 +11,5 @@
 - ``spectra``         discrete Fourier transforms of kernels and filters
 - ``conjugate_gradients``  their passes over the transforms of many pictures
 - ``distance``        exact Euclidean distance transform
+- ``spread``          standard deviation of samples with outliers
 """

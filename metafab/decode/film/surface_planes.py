@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import nearest
+from metafab.core.numeric.spread import normal_sigma
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.segmentation.assignment import Segmentation
@@ -70,7 +71,7 @@ def _on_surface(regions: Regions, step: int) -> Regions:
             continue
         axes = [axis.astype(np.float64) for axis in np.nonzero(inside)]
         vergence, middle = surface[inside], float(np.median(surface[inside]))
-        error = max(1.48 * float(np.median(np.abs(vergence - middle))), 1e-9)
+        error = max(float(normal_sigma(vergence - middle)), 1e-9)
         centre = float(axes[0].mean()), float(axes[1].mean())
         # Windows along an outline mix both sides: a narrow segment shows no slope across it.
         wide = [float(np.ptp(axis)) * step >= _WIDE_PX for axis in axes]

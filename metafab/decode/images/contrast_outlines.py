@@ -19,6 +19,7 @@ from scipy.special import expit, logit
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.numeric.distance import box_about
+from metafab.core.numeric.spread import normal_sigma
 from metafab.core.parallel.executor import spread
 from metafab.decode.images.deconvolution import SharpImages
 from metafab.decode.matching.pooling import window_means
@@ -162,5 +163,5 @@ def _classes(ratio: FloatArray, regions: Regions) -> tuple[FloatArray, FloatArra
         inside = ratio[(regions.interior == number) & np.isfinite(ratio)]
         if inside.size >= _FEWEST:
             middle[number] = np.median(inside)
-            spread[number] = max(_LEAST_SPREAD, 1.48 * float(np.median(np.abs(inside - middle[number]))))
+            spread[number] = max(_LEAST_SPREAD, float(normal_sigma(inside - middle[number])))
     return middle, spread

@@ -13,6 +13,7 @@ from scipy.ndimage import label as connected_components
 from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import distance, nearest
+from metafab.core.numeric.spread import normal_sigma
 from metafab.decode.matching.levels import Levels
 from metafab.decode.matching.pooling import window_maxima, window_means
 from metafab.decode.registration.downsampling import Downsampling, blocks_with, enlarged
@@ -30,8 +31,8 @@ _PLAIN_SHARE = 0.99
 #: Largest ratio of distances of a plain object's outline from its core (quantiles 0.95 and 0.05): rectangles have up to
 #: 1.6, pixels of a textured surface behind that happen to be as bright 2.
 _OUTLINE_RATIO = 1.7
-#: Least median change of the light across a plain object's outline, over its scatter along it (1.48 times the median
-#: deviation): a smaller change may be texture beyond it.
+#: Least median change of the light across a plain object's outline, over its standard deviation along it: a smaller
+#: change may be texture beyond it.
 _ONE_STEP = 3.0
 #: Most smooth cores that are examined, the largest.
 _MOST_PLAIN = 16
@@ -313,9 +314,7 @@ class PreparedFrame:
         nearest_to_core, farthest = np.quantile(away[outline], [0.05, 0.95])
         change = (level - beyond).sum(axis=0)[outline]
         middle = np.median(change)
-        if farthest > _OUTLINE_RATIO * nearest_to_core or abs(middle) < _ONE_STEP * 1.48 * np.median(
-            np.abs(change - middle)
-        ):
+        if farthest > _OUTLINE_RATIO * nearest_to_core or abs(middle) < _ONE_STEP * normal_sigma(change - middle):
             return none
         border = mask[[0, -1]].any() or mask[:, [0, -1]].any()
         touches_light = bool((self.lit & ~mask & (distance(mask) <= 2.0)).any())

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import nearest
+from metafab.core.numeric.spread import normal_sigma
 from metafab.decode.matching.pooling import label_sums, window_means
 from metafab.decode.segmentation.fragments import adjacency
 
@@ -56,7 +57,7 @@ def light_odds(
     level = (sums[:2] / np.maximum(sums[2], np.float32(1e-6)))[:, row, column]
     off = light - level
     some = np.flatnonzero(surface)[::_EACH]
-    noise = np.maximum(1.48 * np.median(np.abs(off.reshape(2, -1)[:, some]), axis=1), 1e-6)
+    noise = np.maximum(normal_sigma(off.reshape(2, -1)[:, some], axis=1), 1e-6)
     objects, here = _Lights.of(off, label, inside, noise), off[:, asked].astype(np.float64)
     is_known = objects.count >= _FEWEST
     own, is_strip = label[asked] - 1, np.zeros_like(is_known)

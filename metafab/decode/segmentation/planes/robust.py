@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
+from metafab.core.numeric.spread import SIGMA_PER_MEDIAN
 from metafab.decode.segmentation.planes.cells import Cells
 from metafab.decode.segmentation.planes.plane import Plane
 
@@ -77,7 +78,7 @@ def _robust_plane(
         for k in range(count):
             fitted = solution[0] * design[k, 0] + solution[1] * design[k, 1] + solution[2] * design[k, 2]
             residual[k] = abs(vergence[k] - fitted) * root[k]
-        scale = max(1.0, 1.48 * _median(residual))
+        scale = max(1.0, SIGMA_PER_MEDIAN * _median(residual))
         normal, right = np.zeros((3, 3)), np.zeros(3)
         for k in range(count):
             kept = max(1.0 - (residual[k] / (_TUKEY * scale)) ** 2, 0.0)
