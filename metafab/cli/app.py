@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -192,3 +194,13 @@ def require_finite(option: str, *values: float | None, positive: bool = False) -
 def require_positive(option: str, *values: float | None) -> None:
     """Check that all values of an option are finite and above zero; None stands for an option that is not given."""
     require_finite(option, *values, positive=True)
+
+
+@contextmanager
+def faults_of_options(options: Mapping[str, str], source: str | None = None) -> Iterator[None]:
+    """Name the arguments of faults by the ``options`` that gave them, and their error by ``source``, if it is given."""
+    try:
+        yield
+    except InputError as error:
+        faults = [replace(fault, field=options.get(fault.field, fault.field)) for fault in error.faults]
+        raise InputError(source or error.source, faults) from error

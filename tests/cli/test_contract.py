@@ -175,12 +175,12 @@ def test_an_ideal_psf_reaches_to_infinity_but_not_beside_the_axis_there(tmp_path
     assert answer.json["depth_m"] == [0.003, "inf"]
     assert load_psf(tmp_path / "psf.h5").depth_m.tolist() == [0.003, math.inf]
     answer = metafab(*command, "--object-mm", "0.1", "0")
-    assert answer.code == 2 and "finite depth" in answer.stderr
+    assert answer.code == 2 and "`--object-mm`: expected an object at a finite depth" in answer.stderr
 
 
 def test_pixels_too_coarse_to_add_up_are_refused() -> None:
     answer = metafab("psf", "--ideal", "--design", SMALL, "--depths-m", "0.003", "--pixel-um", "30")
-    assert answer.code == 2 and "`pixel_um`" in answer.stderr and "sample finer" in answer.stderr
+    assert answer.code == 2 and "`--pixel-um`: expected below" in answer.stderr and "sample finer" in answer.stderr
 
 
 def test_report_makes_the_page_again(main_job: MainJob) -> None:

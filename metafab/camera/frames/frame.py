@@ -57,8 +57,8 @@ class RawFrame(Displayed):
         x_window: (row, column, rows, columns) of the x polarisation's image, where the field stop is known.
         saturation_e: level at which pixels saturate, where it is known.
         saturation_assumed: whether the level was inferred, because many pixels share it exactly.
-        photons: mean number of photons that arrive on all pixels together, of a frame that was just simulated; files
-            do not hold it.
+        photons: mean number of photons that arrive on all pixels together; NaN for a frame that was read, because
+            files do not hold it.
     """
 
     frame: FloatArray
@@ -70,7 +70,7 @@ class RawFrame(Displayed):
     x_window: tuple[int, int, int, int] | None = None
     saturation_e: float | None = None
     saturation_assumed: bool = False
-    photons: float | None = None
+    photons: float = math.nan
 
     @property
     def holds_window(self) -> bool:

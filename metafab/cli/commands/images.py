@@ -143,7 +143,7 @@ def _frames(
         ):
             counts = None if black is None else counts_of(frame, black=black)
             shape = frame.frame.shape if black is None else counted_shape(frame)
-            photons.append(frame.photons or 0.0)
+            photons.append(frame.photons)
             files.append(file)
     answer = CaptureAnswer(
         shape=shape,

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -20,6 +18,7 @@ from metafab.cli.app import (
     TargetError,
     Workers,
     app,
+    faults_of_options,
     open_job,
     require_finite,
     require_positive,
@@ -136,17 +135,19 @@ def psf_command(
             with of_scene_file(scene, photographed):
                 pair = optics.scene_pair(job, lens, photographed)
         else:
-            pair, light_at_um = optics.point_spread(
-                job,
-                lens,
-                depths_m=tuple(sorted(set(depths_m))) if depths_m else None,
-                object_mm=object_mm or (0.0, 0.0),
-                pixel_um=pixel_um,
-                window_px=window_px,
-                target_error=target_error,
-                centre_um=centre_um,
-                tangent=None if job.light is None or angle_deg is None else light_tangent(job.design, job.light),
-            )
+            options = {name.removeprefix("--").replace("-", "_"): name for name in single if single[name] is not None}
+            with faults_of_options(options):
+                pair, light_at_um = optics.point_spread(
+                    job,
+                    lens,
+                    depths_m=tuple(sorted(set(depths_m))) if depths_m else None,
+                    object_mm=object_mm or (0.0, 0.0),
+                    pixel_um=pixel_um,
+                    window_px=window_px,
+                    target_error=target_error,
+                    centre_um=centre_um,
+                    tangent=None if job.light is None or angle_deg is None else light_tangent(job.design, job.light),
+                )
     if output is not None:
         optics.save_psf(job, pair, lens, output)
     figures = optics.pair_figures(job, pair, light_at_um)
@@ -260,7 +261,7 @@ def import_command(
     require_finite("--split-um", *(split_um or ()))
     require_finite("--zero-m", zero_m)
     depth_m = _depths_m(depths)
-    with _faults_of_options(stack):
+    with faults_of_options(_OPTIONS, str(stack)):
         values = read_stack(stack, len(depth_m), datasets or ())
         if channels is not None and channels != len(values):
             remedy = "name them with --dataset"
@@ -279,16 +280,6 @@ def import_command(
     optics.save(psf, output, inputs_sha256=fingerprint(file_sha256(stack), plain(figures)))
     announce([*(f"made: {sentence}" for sentence in figures.made), *figures.warnings])
     show(figures, json_, file=output)
-
-
-@contextmanager
-def _faults_of_options(stack: Path) -> Iterator[None]:
-    """Name the arguments of faults by the options, and the error by the file of the stack."""
-    try:
-        yield
-    except InputError as error:
-        faults = [replace(fault, field=_OPTIONS.get(fault.field, fault.field)) for fault in error.faults]
-        raise InputError(str(stack), faults) from error
 
 
 def _depths_m(words: list[str]) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -81,10 +82,11 @@ def error_against_photons(rows: Sequence[BenchmarkRow], axes: Axes) -> Axes:
     logarithmic(axes, "xy")
     names = list(dict.fromkeys(row.series for row in rows if row.photons and row.series is not None))
     for index, name in enumerate(names):
-        line = sorted((row for row in rows if row.series == name and row.photons), key=lambda row: row.photons or 0.0)
-        photons, colour = [row.photons or 0.0 for row in line], _colour(index)
-        error = [row.error or math.nan for row in line]
-        bound = [row.bound or math.nan for row in line]
+        of_series = [(row.photons, row) for row in rows if row.series == name and row.photons]
+        line, colour = sorted(of_series, key=itemgetter(0)), _colour(index)
+        photons = [count for count, _ in line]
+        error = [row.error or math.nan for _, row in line]
+        bound = [row.bound or math.nan for _, row in line]
         axes.plot(photons, error, f"{_marker(index)}-", markersize=4.5, label=name, color=colour)
         axes.plot(photons, bound, f"{_marker(index)}--", markersize=3.0, linewidth=0.8, alpha=0.7, color=colour)
     dress(axes, "electrons a pixel", "error", "Error against light, with its Cramér-Rao bound (dashed)")

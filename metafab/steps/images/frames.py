@@ -121,7 +121,7 @@ def capture_batch(
         for done in range(1, total + 1):
             with of_scene_file(*scenes[(done - 1) // draws]):
                 draw = next(shots)
-            photons, shape = photons + (draw.frame.photons or 0.0), draw.frame.frame.shape
+            photons, shape = photons + draw.frame.photons, draw.frame.frame.shape
             progress("capture", done, total)
             yield draw
 
@@ -135,7 +135,7 @@ def _capture(job: Job) -> CaptureFigures:
     assert job.design.scene is not None  # The step is not needed without one.
     folder, progress = job.folder, job.work.progress
     ((frame, _),) = capture(job.design.scene, folder / "psf.h5", folder / "raw.h5", progress=progress)
-    return CaptureFigures(frame.frame.shape, frame.photons or 0.0)
+    return CaptureFigures(frame.frame.shape, frame.photons)
 
 
 CAPTURE = Step(
