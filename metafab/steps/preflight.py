@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from metafab.core.errors import Fault, InputError
 from metafab.spec import Design, Scene
 from metafab.steps.job import Job, Step, light_tangent
@@ -149,14 +151,12 @@ def _with_bias(pillars_nm: float, change_nm: float) -> str:
 
 def _sizes_off_the_unit(design: Design) -> list[Fault]:
     """A database unit on which the edges of the library's sizes do not lie."""
-    sweep, unit_nm = design.unit_cell.sweep, design.mask.database_unit_nm
-    has_steps = any(low < high for low, high in (sweep.width_nm, sweep.length_nm))
-    half_step_nm = 0.5 * sweep.size_grid_nm
-    if not has_steps or abs(half_step_nm / unit_nm - round(half_step_nm / unit_nm)) <= 1e-6:
-        return []
-    expected = f"a unit that divides half of `sweep.size_grid_nm`, {half_step_nm:g} nm"
-    remedy = "use a smaller unit or another `sweep.size_grid_nm`; nothing is rounded silently"
-    return [Fault("mask.database_unit_nm", expected, f"{unit_nm:g} nm", remedy)]
+    from metafab.library.fit.size_grid import SizeGrid
+    from metafab.library.use.lookup import fault_of_unit
+
+    grid = SizeGrid.of(design.unit_cell)
+    fault = fault_of_unit(np.concatenate([grid.width_nm, grid.length_nm]), design.mask.database_unit_nm)
+    return [] if fault is None else [fault]
 
 
 def _proximity_classes(design: Design) -> list[Fault]:

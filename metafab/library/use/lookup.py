@@ -31,6 +31,9 @@ _LARGEST_INDEX = np.iinfo(np.uint16).max
 #: Least factor of the overlap of a size whose t is not known.
 _LEAST_TRUST = 1e-3
 
+#: Distance of an edge from the grid, in database units, beyond which it is not rounding of decimal sizes.
+_OFF_GRID_UNITS = 1e-6
+
 #: Rows of the table per query of the k-d tree.
 _ROWS_AT_ONCE = 64
 
@@ -249,21 +252,25 @@ def _admitted(
     return row, column
 
 
+def fault_of_unit(sides_nm: FloatArray, database_unit_nm: float) -> Fault | None:
+    """Fault of a database unit that does not divide half of every width and length, ``sides_nm``, of any shape.
+
+    Rectangles centred on a site would have edges off the grid.
+    """
+    halves = sides_nm / (2.0 * database_unit_nm)
+    is_off = np.abs(halves - np.rint(halves)) > _OFF_GRID_UNITS
+    if not is_off.any():
+        return None
+    expected = f"a unit that divides half of every width and length of the library, such as {sides_nm[is_off][0]:g} nm"
+    remedy = "use a smaller unit or another `sweep.size_grid_nm`; nothing is rounded silently"
+    return Fault("mask.database_unit_nm", expected, f"{database_unit_nm:g} nm", remedy)
+
+
 def _exact_dbu(size_nm: FloatArray, database_unit_nm: float) -> NDArray[np.int32]:
-    """Sizes in even database units, so that a rectangle centred on a site has its edges on the grid."""
-    halves = size_nm / (2.0 * database_unit_nm)
-    off_grid = np.abs(halves - np.rint(halves)) > 1e-6
-    if np.any(off_grid):
-        faults = []
-        for name, values, wrong in zip(("width", "length"), size_nm.T, off_grid.T, strict=True):
-            if np.any(wrong):
-                expected = f"a unit that divides half of every {name}"
-                count, example = int(np.count_nonzero(wrong)), values[wrong][0]
-                got = f"{database_unit_nm:g} nm, which {count} sizes do not fit (such as {example:g} nm)"
-                remedy = "use a smaller unit or another `sweep.size_grid_nm`; nothing is rounded silently"
-                faults.append(Fault(f"mask.database_unit_nm (with {name}_nm)", expected, got, remedy))
-        raise InputError("library", faults)
-    return (2 * np.rint(halves)).astype(np.int32)
+    """Sizes in even database units: the same shape; InputError for :func:`fault_of_unit`."""
+    if (fault := fault_of_unit(size_nm, database_unit_nm)) is not None:
+        raise InputError("library", [fault])
+    return (2 * np.rint(size_nm / (2.0 * database_unit_nm))).astype(np.int32)
 
 
 def best_overlap(t: ComplexArray, cells: int) -> tuple[NDArray[np.uint16], FloatArray]:

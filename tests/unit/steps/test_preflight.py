@@ -127,6 +127,15 @@ def test_a_step_of_sizes_does_not_matter_to_a_single_size_nor_to_turned_pillars(
     preflight(replace(design, mask=unit, unit_cell=replace(design.unit_cell, sweep=sweep)))
 
 
+def test_sizes_whose_step_fits_the_unit_are_refused_where_the_smallest_does_not() -> None:
+    """Half of 101 nm is no whole number of nanometres; the library would be built before the mapping refuses it."""
+    design = load_design(ROOT / "layouts" / "helix_small.toml")
+    cell = design.unit_cell
+    odd = replace(cell, sweep=replace(cell.sweep, width_nm=(101.0, 201.0), length_nm=(101.0, 201.0), size_grid_nm=2.0))
+    with pytest.raises(InputError, match="such as 101 nm, got 1 nm"):
+        preflight(replace(design, unit_cell=odd, mask=replace(design.mask, database_unit_nm=1.0)))
+
+
 def test_the_field_of_round_pillars_cannot_be_inverted() -> None:
     design = load_design(ROOT / "layouts" / "rgb_metalens.toml")
     assert design.unit_cell.cell.shape == "circle"

@@ -93,7 +93,7 @@ def test_poorly_known_sizes_can_be_left_out(smooth_library: Library) -> None:
 
 def test_inexact_sizes_are_refused(smooth_library: Library) -> None:
     """102 nm is no even number of 4 nm units, 104 nm no even number of 3 nm units."""
-    with pytest.raises(InputError, match=r"database_unit_nm .*nothing is rounded silently"):
+    with pytest.raises(InputError, match=r"`mask\.database_unit_nm`: .* 4 nm; .*nothing is rounded silently"):
         build_size_table(smooth_library, database_unit_nm=4.0, cells=16)
 
 
