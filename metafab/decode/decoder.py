@@ -28,10 +28,10 @@ from metafab.decode.images.unmixing import Unmixing
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.matching.filters import CrossFilters
-from metafab.decode.matching.levels import Levels
 from metafab.decode.registration.calibration import Calibration
 from metafab.decode.registration.downsampling import repeated
 from metafab.decode.registration.twins import TwinGrid
+from metafab.decode.segmentation.assignment import SegmentationNumerics
 from metafab.decode.segmentation.layered.layer_light import LayerOptics
 from metafab.decode.segmentation.objects.plain_behind import PlainPixels, plain_behind_doubted
 from metafab.decode.segmentation.objects.plain_parts import plain_parts_judged
@@ -66,6 +66,11 @@ class DecoderNumerics:
     #: Pixels from one compared pixel to the next; None for the largest step that keeps the information about depth
     #: (:func:`metafab.decode.matching.filters.coarsest_step`).
     step_px: int | None = None
+
+    @property
+    def segmentation(self) -> SegmentationNumerics:
+        """Numerics of the segmentation."""
+        return SegmentationNumerics(self.outline_rounds, self.refined)
 
 
 #: Numerics of ``metafab decode --fast``.
@@ -186,11 +191,8 @@ class Decoder:
             image = self.image(self.complete(prepared, self.match(prepared, progress)))
         return evaluated(image, frame, seconds=time.perf_counter() - started)
 
-    def prepare(self, frame: RawFrame, levels: Levels | None = None) -> PreparedFrame | str:
-        """Register and downsample a frame of the decoder's shape, or return the reason why it cannot be decoded.
-
-        ``levels`` are those of an earlier frame in the same light; None to measure them in this frame.
-        """
+    def prepare(self, frame: RawFrame) -> PreparedFrame | str:
+        """Register and downsample a frame of the decoder's shape, or return the reason why it cannot be decoded."""
         grid, values = self.calibration.grid, np.asarray(frame.frame)
         if not abs(frame.pixel_um / grid.pixel_um - 1.0) <= 1e-6:
             return f"pixels of {frame.pixel_um:g} um, but a decoder for {grid.pixel_um:g} um"
@@ -202,7 +204,7 @@ class Decoder:
             return f"the frame starts at {frame.origin_um} um on the sensor, the decoder is for {origin_um} um"
         if values.shape != grid.frame_shape or values.dtype.kind not in "buif":
             return f"expected a grey frame of {grid.frame_shape}, got one of {values.shape}, {values.dtype}"
-        return PreparedFrame.of(frame, grid, self.filters.downsampling, levels, self.calibration.spill)
+        return PreparedFrame.of(frame, grid, self.filters.downsampling, self.calibration.spill)
 
     def match(self, prepared: PreparedFrame, progress: Progress = silent) -> CostVolume:
         """Cost volume of the twins over the candidate depths."""
@@ -230,19 +232,10 @@ class Decoder:
     ) -> tuple[PixelDepth, Regions]:
         """Depth of each pixel, and segments; ``surfaces``: whether continuous surfaces are sought."""
         pixels = textured_pixel_depth(prepared, volume)
-        rounds, refined = self.numerics.outline_rounds, self.numerics.refined
-        optics = self.layer_optics if refined and self.numerics.modelled else None
+        numerics = replace(self.numerics.segmentation, surfaces=surfaces)
+        optics = self.layer_optics if numerics.refined and self.numerics.modelled else None
         filters = None if optics is None else self.filters
-        return pixels, find_regions(
-            prepared,
-            volume,
-            pixels,
-            outline_rounds=rounds,
-            refined=refined,
-            surfaces=surfaces,
-            optics=optics,
-            filters=filters,
-        )
+        return pixels, find_regions(prepared, volume, pixels, numerics=numerics, optics=optics, filters=filters)
 
     def sharpen(
         self, prepared: PreparedFrame, volume: CostVolume, pixels: PixelDepth, regions: Regions, tiles: TileSpectra

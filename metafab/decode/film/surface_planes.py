@@ -17,7 +17,7 @@ from metafab.core.numeric.distance import nearest
 from metafab.core.numeric.spread import normal_sigma
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
-from metafab.decode.segmentation.assignment import Segmentation
+from metafab.decode.segmentation.assignment import Segmentation, SegmentationNumerics
 from metafab.decode.segmentation.fragments import adjacency
 from metafab.decode.segmentation.layers import grown
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, ransac_planes
@@ -36,7 +36,11 @@ _WIDE_PX = 2 * WINDOW_PX
 
 
 def with_planes_of_surface(
-    regions: Regions, prepared: PreparedFrame, volume: CostVolume, pixels: PixelDepth, outline_rounds: int
+    regions: Regions,
+    prepared: PreparedFrame,
+    volume: CostVolume,
+    pixels: PixelDepth,
+    numerics: SegmentationNumerics,
 ) -> Regions:
     """A continuous surface with segments on the planes that most of it lies on; other segments stay as they are.
 
@@ -54,7 +58,7 @@ def with_planes_of_surface(
     if not planes:
         return regions
     on_surface = replace(pixels, vergence_per_m=regions.surface_per_m)
-    found = Segmentation(prepared, volume, on_surface, separation, outline_rounds).of_planes(planes)
+    found = Segmentation(prepared, volume, on_surface, separation, numerics).of_planes(planes)
     if not found.depths:
         return regions
     everywhere = np.where(regions.grown > 0, grown(found.grown), 0).astype(np.int32)

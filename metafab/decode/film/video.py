@@ -43,6 +43,7 @@ from metafab.decode.matching.depth import PixelDepth
 from metafab.decode.registration.downsampling import relative_slices, repeated
 from metafab.decode.registration.pedestal import without_pedestal
 from metafab.decode.registration.twins import extract_part
+from metafab.decode.segmentation.assignment import SegmentationNumerics
 from metafab.decode.segmentation.objects.plain_behind import PlainPixels, plain_behind_doubted
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.regions import find_regions, textured_pixel_depth
@@ -133,8 +134,8 @@ class VideoDecoder:
             if len(regions.depths) > most_segments:
                 return None
             decoded = decoder.sharpen(prepared, volume, pixels, regions, decoder.tile_spectra(prepared))
-        image, rounds = decoder.image(decoded), decoder.numerics.outline_rounds
-        regions = with_planes_of_surface(decoded.regions, prepared, volume, decoded.pixels, rounds)
+        image, numerics = decoder.image(decoded), SegmentationNumerics(decoder.numerics.outline_rounds)
+        regions = with_planes_of_surface(decoded.regions, prepared, volume, decoded.pixels, numerics)
         if regions is not decoded.regions:
             decoded = replace(decoded, regions=regions, maps=decoded.maps.with_segments(regions, prepared))
         return FilmState(decoded, image, self._detector.patch_means(frame), camera)
@@ -318,19 +319,11 @@ class VideoDecoder:
             pixels.relative_error[part][renewed] = depth.relative_error[inside][renewed]
             pixels.claimed[part][renewed] = depth.claimed[inside][renewed]
             known = planes_around(regions, change, separation)
-            numerics, here = self.decoder.numerics, pixels.within(*change.around)
+            here = pixels.within(*change.around)
             # Segments that continue keep their depth: outliers are left out of the others once. So do the planes of a
             # continuous surface, whose depths show their slopes better.
-            current = find_regions(
-                local,
-                local_volume,
-                here,
-                known,
-                numerics.outline_rounds,
-                refined=numerics.refined,
-                slopes=not regions.continuous,
-                robust_rounds=1,
-            )
+            numerics = replace(self.decoder.numerics.segmentation, slopes=not regions.continuous, robust_rounds=1)
+            current = find_regions(local, local_volume, here, known, numerics)
             if regions.continuous and not current.continuous and current.right is not None:
                 # The image of a surface leaves out that doubt, because its pixels have their own depths: these do not.
                 vergence, step = current.vergence_per_m(current.grown), local.downsampling.step

@@ -18,6 +18,7 @@ from metafab.decode.segmentation.continuous.doubt import right_depth
 from metafab.decode.segmentation.continuous.surface import matched_surface
 from metafab.decode.segmentation.fragments import fragment_targets
 from metafab.decode.segmentation.layers import assign_layers, connected_segments, depth_layers, grown
+from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane, cell_side, fit_plane, ransac_planes
 from metafab.decode.segmentation.prepared_frame import WINDOW_PX, PreparedFrame
 from metafab.decode.segmentation.segment_depth import interior, is_textured, segment_depth, with_error_of_straight
@@ -40,6 +41,22 @@ NARROW_PX = 2 * WINDOW_PX**2
 
 
 @dataclass(frozen=True)
+class SegmentationNumerics:
+    """Numerics of the segmentation of a frame."""
+
+    outline_rounds: int = ROUNDS  #: Most rounds of the refinement of outlines.
+    refined: bool = True  #: Whether to separate layers by noise, and leave outliers out of depths.
+    slopes: bool = True  #: Whether a refined segmentation measures slopes along their planes.
+    surfaces: bool = True  #: Whether a refined segmentation seeks continuous surfaces.
+    robust_rounds: int = 3  #: Most rounds of leaving outliers out; a segment's depth settles after two.
+
+    @property
+    def along_planes(self) -> bool:
+        """Whether slopes are measured along their planes."""
+        return self.refined and self.slopes
+
+
+@dataclass(frozen=True)
 class Segmentation:
     """The inputs that every assignment of a frame's pixels shares."""
 
@@ -47,8 +64,7 @@ class Segmentation:
     volume: CostVolume  #: Its cost volume.
     pixels: PixelDepth  #: Depth of each pixel.
     separation_per_m: float  #: Vergence by which layers differ.
-    outline_rounds: int  #: Most rounds of the refinement of outlines.
-    refined: bool = True  #: Whether slopes are measured along their planes.
+    numerics: SegmentationNumerics = SegmentationNumerics()  #: Numerics.
 
     @property
     def layers(self) -> list[Plane]:
@@ -103,9 +119,8 @@ class Segmentation:
     def of_layers(self, layers: list[Plane], allowed: NDArray[np.bool_] | None = None) -> Regions:
         """Segments of layers: connected pixels of one plane, where ``allowed`` (n_layers, n_y, n_x)."""
         prepared, volume, step = self.prepared, self.volume, self.prepared.downsampling.step
-        layer = assign_layers(
-            volume, layers, self.pixels, self.separation_per_m, step, prepared.lit, allowed, self.outline_rounds
-        )
+        rounds = self.numerics.outline_rounds
+        layer = assign_layers(volume, layers, self.pixels, self.separation_per_m, step, prepared.lit, allowed, rounds)
         segments = connected_segments(layer, prepared.lit & ~prepared.plain, WINDOW_PX, step)
         parts, inside, plain = self._textured(segments)
         count = int(parts.max(initial=0))
@@ -130,7 +145,7 @@ class Segmentation:
         target = fragment_targets(depths, wide, step)
         # Depth and contrast are measured without the fragments that are merged into a segment.
         regions, _ = Regions(len(layers), tuple(depths), label, inner, wide).merged(target, interiors=False)
-        if not self.refined:
+        if not self.numerics.along_planes:
             return regions
         return replace(regions, depths=along_planes(regions.depths, regions.interior, volume, step))
 

@@ -87,22 +87,20 @@ class PreparedFrame:
         frame: RawFrame,
         grid: TwinGrid,
         downsampling: Downsampling,
-        levels: Levels | None = None,
-        spill: tuple[tuple[int, float], ...] = (),
+        spill: tuple[tuple[int, float], ...],
     ) -> PreparedFrame | str:
         """Register and downsample a frame of the grid's shape, or return the reason why it cannot be decoded.
 
-        ``levels`` are those of an earlier frame in the same light; None to measure them in this frame.
         ``spill`` is that of the calibration.
         """
-        level_e = pedestal_e(frame) if levels is None else levels.pedestal_e
+        level_e = pedestal_e(frame)
         frame = without_pedestal(frame, level_e)
         twins = extract(frame, grid)
         if twins.bad.all():
             return "all pixels are saturated or invalid"
         spectra = downsampling.spectra(twins.image)
         images = downsampling.images(spectra)
-        levels = replace(Levels.of(images, frame.read_noise_e), pedestal_e=level_e) if levels is None else levels
+        levels = replace(Levels.of(images, frame.read_noise_e), pedestal_e=level_e)
         if levels.signal <= 0.0:
             return NO_LIGHT
         return cls(twins, levels, downsampling, spectra, images, spill, saturated_share(frame))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,12 @@ from metafab.decode.confidence import differs, right_segment
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import PixelDepth, pixel_depth
 from metafab.decode.matching.filters import CrossFilters
-from metafab.decode.segmentation.assignment import NARROW_PX, OUTLINE_REACH_PX, measured_again
+from metafab.decode.segmentation.assignment import (
+    NARROW_PX,
+    OUTLINE_REACH_PX,
+    SegmentationNumerics,
+    measured_again,
+)
 from metafab.decode.segmentation.fit import (
     OUTLINE_LIGHT_PX,
     Misfit,
@@ -30,7 +36,6 @@ from metafab.decode.segmentation.layered.layer_light import LayerOptics
 from metafab.decode.segmentation.objects.bars import with_bars
 from metafab.decode.segmentation.objects.plain_objects import with_plain_objects
 from metafab.decode.segmentation.objects.small_objects import SmallObject, small_objects
-from metafab.decode.segmentation.outlines import ROUNDS
 from metafab.decode.segmentation.planes import Cells, Plane
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.decode.segmentation.segment_depth import interior, textured_components
@@ -42,8 +47,6 @@ from metafab.decode.segmentation.surfaces import first_segments
 _LARGEST_MISFIT = 2.5
 #: Share of such pixels that changes no depth, and share of the pixels that is kept at least.
 _FEW_OUTLIERS, LEAST_KEPT = 0.01, 0.3
-#: Most rounds of leaving them out; a segment's depth settles after two.
-ROBUST_ROUNDS = 3
 #: Change of a depth, in standard errors, below which its outliers stay the same.
 _SETTLED = 0.25
 #: Share of an interior that moved outlines leave clear, of what was clear before, below which a segment's depth is
@@ -81,12 +84,7 @@ def find_regions(
     volume: CostVolume,
     pixels: PixelDepth,
     known: Sequence[Plane] = (),
-    outline_rounds: int = ROUNDS,
-    *,
-    refined: bool = True,
-    slopes: bool = True,
-    surfaces: bool = True,
-    robust_rounds: int = ROBUST_ROUNDS,
+    numerics: SegmentationNumerics = SegmentationNumerics(),
     optics: LayerOptics | None = None,
     filters: CrossFilters | None = None,
 ) -> Regions:
@@ -97,77 +95,106 @@ def find_regions(
     Args:
         pixels: depth of each pixel.
         known: planes of the picture; if some are tilted, pixels are assigned to them at once.
-        outline_rounds: most rounds of the refinement of outlines.
-        refined: whether to separate layers by noise, and leave outliers out of depths.
-        slopes: whether a refined segmentation measures slopes along their planes.
-        surfaces: whether a refined segmentation seeks continuous surfaces.
-        robust_rounds: most rounds of leaving outliers out.
-        optics: the pair, for outlines by the model of the frame, and for small objects; without, outlines stay where
-            correlation puts them.
+        optics: the pair, for outlines of a refined segmentation by the model of the frame, and for small objects;
+            without, outlines stay where correlation puts them.
         filters: matched filters, for the depth of segments much dimmer than others; without, it is not measured again.
     """
-    segments = first_segments(
-        prepared, volume, pixels, known, outline_rounds, refined=refined, slopes=slopes, surfaces=surfaces
-    )
+    segments = first_segments(prepared, volume, pixels, known, numerics)
     if segments.continuous:  # Each pixel has its own depth and probability.
         return segments
     regions = with_plain_objects(segments, prepared, volume)
     if not regions.depths:
         return regions
-    step, unknown = prepared.downsampling.step, unknown_objects(prepared, regions)
+    unknown = unknown_objects(prepared, regions)
+    if not numerics.refined:
+        own = _misfit(prepared, volume, regions, regions.grown)
+        misfit_of = partial(_misfit, prepared, volume, regions)
+        right, _ = right_by_misfit(regions, own.over_noise, own, misfit_of, prepared.downsampling.step, unknown)
+        return replace(regions, right=right).refused(unknown)
     refused = unknown
-    if refined and optics is not None:
+    if optics is not None:
         regions, about_bars = with_bars(regions, prepared, volume, optics)
         refused = unknown | about_bars
         regions = with_modelled_outlines(prepared, regions, optics, volume)
-    label = regions.grown
-
-    def misfit_of(number: NDArray[np.int32], model_error: float | None = None) -> Misfit:
-        return misfit_at(prepared, volume, regions.vergence_per_m(number), regions.interior, model_error)
-
-    def at_segment(number: int) -> Misfit:
-        # The blur of a plain object's outline fits its depth beyond it.
-        same = np.full(label.shape, number, dtype=np.int32)
-        return own if regions.of_outline[number] else misfit_of(same, own.model_error)
-
-    own, moving = misfit_of(label), np.ones(len(regions.depths) + 1, dtype=bool)
-    if not refined:
-        right, _ = right_by_misfit(regions, own.over_noise, own, misfit_of, step, unknown)
-        return replace(regions, right=right).refused(refused)
-    for _ in range(robust_rounds):
-        judged = np.where(prepared.spoiled, np.float32(np.inf), own.over_noise)
-        before = regions.depths
-        regions = without_outliers(regions, volume, judged, step, moving, slopes=slopes)
-        moving[1:] = [not _is_settled(*both, label.shape) for both in zip(regions.depths, before, strict=True)]
-        if not moving[1:].any():
-            break
-        own = misfit_of(label)
+    regions, own = _with_settled_depths(prepared, volume, regions, numerics)
     if filters is not None:
         measured = without_bright_light(prepared, filters, regions)
         if measured is not regions:
-            regions = measured
-            own = misfit_of(label)
+            regions, own = measured, _misfit(prepared, volume, measured, measured.grown)
+    misfit, unexplained = own.over_noise, np.zeros(regions.grown.shape, dtype=bool)
     if optics is not None:
-        reach = OUTLINE_REACH_PX / step
-        judge = FrameModel(prepared, regions, optics).explained_moves
-        owner, own = fitting_segments(label, prepared.spoiled, own, at_segment, reach, judge)
-        regions = regions.with_owners(owner)
-        label = regions.grown
-    none, misfit_here = np.zeros(label.shape, dtype=bool), own.over_noise
-    unexplained = none if optics is None else foreign_light(regions, own, step) & ~prepared.spoiled
-    if optics is not None and unexplained.any():
-        vergence = regions.vergence_per_m(label)
-        # The blur of bars and plain objects is no object of its own.
-        searched = unexplained & (distance(regions.of_outline[label]) * step > OUTLINE_LIGHT_PX)
-        found = small_objects(prepared, optics, vergence, searched, misfit_here)
-        misfit_here = misfit_here.copy()
-        for one in found:
-            misfit_here[one.blob] = np.minimum(misfit_here[one.blob], one.misfit)
-            unexplained[one.blob] = False
-        regions = with_small_objects(regions, found, volume)
-        label = regions.grown
-    right, fits_nowhere = right_by_misfit(regions, misfit_here, own, misfit_of, step, unknown)
+        regions, own = _with_fitting_pixels(prepared, volume, regions, own, optics)
+        regions, misfit, unexplained = _with_foreign_light_explained(prepared, volume, regions, own, optics)
+    misfit_of = partial(_misfit, prepared, volume, regions)
+    right, fits_nowhere = right_by_misfit(regions, misfit, own, misfit_of, prepared.downsampling.step, unknown)
     return replace(regions, right=right).refused(refused | (unexplained & fits_nowhere))
+
+
+def _misfit(
+    prepared: PreparedFrame,
+    volume: CostVolume,
+    regions: Regions,
+    number: NDArray[np.int32],
+    model_error: float | None = None,
+) -> Misfit:
+    """Misfit of each pixel at the depth of the segments ``number``, (n_y, n_x); errors as of :func:`misfit_at`."""
+    return misfit_at(prepared, volume, regions.vergence_per_m(number), regions.interior, model_error)
+
+
+def _with_settled_depths(
+    prepared: PreparedFrame, volume: CostVolume, regions: Regions, numerics: SegmentationNumerics
+) -> tuple[Regions, Misfit]:
+    """Segments whose depths are measured without outliers, until they settle, and their misfit."""
+    own, moving = _misfit(prepared, volume, regions, regions.grown), np.ones(len(regions.depths) + 1, dtype=bool)
+    for _ in range(numerics.robust_rounds):
+        judged = np.where(prepared.spoiled, np.float32(np.inf), own.over_noise)
+        before, step = regions.depths, prepared.downsampling.step
+        regions = without_outliers(regions, volume, judged, step, moving, slopes=numerics.slopes)
+        moving[1:] = [not _is_settled(*both, judged.shape) for both in zip(regions.depths, before, strict=True)]
+        if not moving[1:].any():
+            break
+        own = _misfit(prepared, volume, regions, regions.grown)
+    return regions, own
+
+
+def _with_fitting_pixels(
+    prepared: PreparedFrame, volume: CostVolume, regions: Regions, own: Misfit, optics: LayerOptics
+) -> tuple[Regions, Misfit]:
+    """Segments in which pixels that fit another one nearby are that one's, and their misfit; ``own`` is that before."""
+
+    def at_segment(number: int) -> Misfit:
+        # The blur of a plain object's outline fits its depth beyond it.
+        if regions.of_outline[number]:
+            return own
+        everywhere = np.full(regions.grown.shape, number, dtype=np.int32)
+        return _misfit(prepared, volume, regions, everywhere, own.model_error)
+
+    reach, judge = OUTLINE_REACH_PX / prepared.downsampling.step, FrameModel(prepared, regions, optics).explained_moves
+    owner, fits = fitting_segments(regions.grown, prepared.spoiled, own, at_segment, reach, judge)
+    return regions.with_owners(owner), fits
+
+
+def _with_foreign_light_explained(
+    prepared: PreparedFrame, volume: CostVolume, regions: Regions, own: Misfit, optics: LayerOptics
+) -> tuple[Regions, NDArray[np.float32], NDArray[np.bool_]]:
+    """Segments with the small objects whose light is in them.
+
+    Returns:
+        The segments, the misfit of each pixel, and whether it holds light of another depth that no object explains;
+        ``own`` is the misfit without objects. Shape (n_y, n_x) each.
+    """
+    step, misfit = prepared.downsampling.step, own.over_noise
+    unexplained = foreign_light(regions, own, step) & ~prepared.spoiled
+    if not unexplained.any():
+        return regions, misfit, unexplained
+    # The blur of bars and plain objects is no object of its own.
+    searched = unexplained & (distance(regions.of_outline[regions.grown]) * step > OUTLINE_LIGHT_PX)
+    found = small_objects(prepared, optics, regions.vergence_per_m(regions.grown), searched, misfit)
+    misfit = misfit.copy()
+    for one in found:
+        misfit[one.blob] = np.minimum(misfit[one.blob], one.misfit)
+        unexplained[one.blob] = False
+    return with_small_objects(regions, found, volume), misfit, unexplained
 
 
 def unknown_objects(prepared: PreparedFrame, regions: Regions) -> NDArray[np.bool_]:

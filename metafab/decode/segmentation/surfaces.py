@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.depth import PixelDepth
-from metafab.decode.segmentation.assignment import Segmentation
+from metafab.decode.segmentation.assignment import Segmentation, SegmentationNumerics
 from metafab.decode.segmentation.continuous.evidence import needs_surface
 from metafab.decode.segmentation.continuous.pieces import surfaces_of_pieces
 from metafab.decode.segmentation.fit import LEAST_MODEL_ERROR, explains_better, misfit_at
@@ -111,11 +111,7 @@ def first_segments(
     volume: CostVolume,
     pixels: PixelDepth,
     known: Sequence[Plane],
-    outline_rounds: int,
-    *,
-    refined: bool,
-    slopes: bool = True,
-    surfaces: bool = True,
+    numerics: SegmentationNumerics,
 ) -> Regions:
     """Segment a frame; depths still hold the outliers of their segments.
 
@@ -127,20 +123,19 @@ def first_segments(
     near outlines, or the twins in interiors hold light of other depths, pixels have the depth of a continuous surface,
     and segments are pieces of planes across it, if that explains the twins better: in a wide frame, by more than its
     freedom brings by chance, and than fewer planes and quadrics through its own pieces leave. Where these planes are
-    hardly anywhere off the surface, pixels keep the planes' depths. ``slopes`` and ``surfaces`` are those
-    of :func:`metafab.decode.segmentation.regions.find_regions`.
+    hardly anywhere off the surface, pixels keep the planes' depths. Arguments are those of
+    :func:`metafab.decode.segmentation.regions.find_regions`.
     """
-    separation_per_m, along = layer_separation_per_m(volume), refined and slopes
-    segmentation = Segmentation(prepared, volume, pixels, separation_per_m, outline_rounds, along)
+    segmentation = Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), numerics)
     if any(plane.tilted for plane in known):
         return segmentation.of_planes(list(known))
     coarse = segmentation.layers
     if not coarse:
         none = np.zeros(volume.shape, dtype=np.int32)
         return Regions(0, (), none, none, none)
-    regions = _of_layers_or_planes(segmentation, coarse, refined=refined)
+    regions = _of_layers_or_planes(segmentation, coarse)
     clean = unspoiled(prepared, pixels).claimed
-    if not (refined and (clean & (regions.interior > 0)).any()):
+    if not (numerics.refined and (clean & (regions.interior > 0)).any()):
         return regions
     planes = curved_and_planes(regions, pixels, segmentation.separation_per_m)
     if any(plane.curved for plane in planes):
@@ -149,7 +144,7 @@ def first_segments(
         if fewer and explains_better(curved, regions, prepared, volume, pixels):
             regions = curved
     inside = clean & (regions.interior > 0)
-    if not surfaces or inside.size > _MOST_SURFACE_PIXELS:
+    if not numerics.surfaces or inside.size > _MOST_SURFACE_PIXELS:
         return regions
     layered = _has_layers(regions, prepared, volume, inside, clean)
     if layered:
@@ -209,7 +204,7 @@ def _has_layers(
     return float(misfit.is_foreign[inside].mean()) <= _FOREIGN_INSIDE
 
 
-def _of_layers_or_planes(segmentation: Segmentation, coarse: list[Plane], *, refined: bool) -> Regions:
+def _of_layers_or_planes(segmentation: Segmentation, coarse: list[Plane]) -> Regions:
     """Segments of layers, of planes across them, or of the layers that noise tells apart; small planes across these."""
     prepared, volume, pixels = segmentation.prepared, segmentation.volume, segmentation.pixels
     regions = segmentation.of_layers(coarse)
@@ -219,7 +214,7 @@ def _of_layers_or_planes(segmentation: Segmentation, coarse: list[Plane], *, ref
         planes = planes_across(cells, cell_side(step), segmentation.separation_per_m, pixels, regions)
         if any(plane.tilted for plane in planes):
             regions = segmentation.of_planes(planes)
-    if not refined:
+    if not segmentation.numerics.refined:
         return regions
     clean = unspoiled(prepared, pixels)
     finer = replace(segmentation, separation_per_m=noise_separation_per_m(volume, clean))

@@ -44,7 +44,7 @@ def test_few_pixels_of_strong_texture_at_another_depth_do_not_move_a_segment_fro
     volume = CostVolume(NODES, np.stack([rho, square, square]).astype(np.float32), 0.5, 1.0)
     pixels = PixelDepth(true, np.full(SHAPE, 3e-3), np.ones(SHAPE, dtype=bool))
     prepared: Any = SimpleNamespace(downsampling=SimpleNamespace(step=3))
-    segmentation = Segmentation(prepared, volume, pixels, 0.1, 4)
+    segmentation = Segmentation(prepared, volume, pixels, 0.1)
     whole = measured_depth(volume, Cells.of(volume, np.ones(SHAPE, dtype=bool), 3), layer)
     assert whole is not None and whole.vergence_per_m > 2.5 and not segmentation.holds(layer, whole)
     found = segmentation.in_layer(layer, np.ones(SHAPE, dtype=bool))
