@@ -8,19 +8,6 @@ from metafab.steps.layout import LayoutFigures
 from metafab.steps.library import LibraryFigures
 from metafab.steps.summary.run_summary import BudgetLine, RunSummary
 
-#: Sources of error that only images have.
-_OF_IMAGES = {"depth interpolation", "field interpolation", "oblique light", "decoder"}
-#: Sources of error that only pillars have.
-_OF_PILLARS = {
-    "solver and library",
-    "size snapping and finite library",
-    "index of the pillar",
-    "local-period approximation",
-    "model of unlike neighbours",
-    "joint effect of rows and columns",
-    "oblique light",
-}
-
 
 def _errors_of_mask(library: LibraryFigures | None, layout: LayoutFigures | None) -> tuple[float | None, float | None]:
     """Library error and phase error of a mask's pillars, each in the worst light.
@@ -72,13 +59,37 @@ def _neighbour_lines(summary: RunSummary) -> list[BudgetLine]:
 def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
     """Collect the measured contributions to the error of the whole, in the order of the pipeline.
 
-    Errors of images are left out for a design without a scene, errors of pillars for a design without a mask.
+    Unknown errors of images are left out for a design without a scene, those of pillars for a design without a mask.
     """
-    library, layout, psf, decode = summary.library, summary.layout, summary.psf, summary.decode
+    has_pillars, has_images = summary.layout is not None, summary.decode is not None
+    psf = summary.psf
+    pupil = BudgetLine(
+        "pupil reduction and sampling",
+        None if psf is None else max(psf.error),
+        "relative L2",
+        "PSF with blocks of half the size",
+    )
+    return (
+        *_shown(_pillar_lines(summary), has_pillars),
+        *_shown(_neighbour_lines(summary), has_pillars),
+        *_shown([_oblique_line(summary)], has_pillars and has_images),
+        pupil,
+        *_shown(_image_lines(summary), has_images),
+    )
+
+
+def _shown(lines: list[BudgetLine], is_asked: bool) -> list[BudgetLine]:
+    """All lines that the run is asked for; else those with a value."""
+    return [line for line in lines if is_asked or line.value is not None]
+
+
+def _pillar_lines(summary: RunSummary) -> list[BudgetLine]:
+    """Errors of the pillars' light and of the choice of their sizes."""
+    library, layout = summary.library, summary.layout
     library_error, phase_error_rad = _errors_of_mask(library, layout)
     worst = ", in the worst light" if layout is not None and layout.lights else ""
     index_error_rad = None if library is None else library.index_phase_error_rad
-    lines = [
+    return [
         BudgetLine(
             "solver and library",
             library_error,
@@ -99,22 +110,27 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
             if index_error_rad is None
             else "phases solved again with the index raised by its standard uncertainty, common phase taken out",
         ),
-        *_neighbour_lines(summary),
-        BudgetLine(
-            "oblique light",
-            None if psf is None else psf.oblique_error,
-            "relative L2",
-            "field of sizes of the mask under light from the corner of the field, common phase taken out"
-            if psf is None or psf.oblique_change is None
-            else "field of held-out sizes under light from the corner of the field, by the change that the PSFs carry "
-            f"({psf.oblique_change:.2g} without it)",
-        ),
-        BudgetLine(
-            "pupil reduction and sampling",
-            None if psf is None else max(psf.error),
-            "relative L2",
-            "PSF with blocks of half the size",
-        ),
+    ]
+
+
+def _oblique_line(summary: RunSummary) -> BudgetLine:
+    """Error of the pillars' light from the corner of the field."""
+    psf = summary.psf
+    return BudgetLine(
+        "oblique light",
+        None if psf is None else psf.oblique_error,
+        "relative L2",
+        "field of sizes of the mask under light from the corner of the field, common phase taken out"
+        if psf is None or psf.oblique_change is None
+        else "field of held-out sizes under light from the corner of the field, by the change that the PSFs carry "
+        f"({psf.oblique_change:.2g} without it)",
+    )
+
+
+def _image_lines(summary: RunSummary) -> list[BudgetLine]:
+    """Errors of PSFs between the depths and directions of the calibration, and of the decoder."""
+    psf, decode = summary.psf, summary.decode
+    return [
         BudgetLine(
             "depth interpolation",
             None if psf is None else psf.depth_interpolation_error,
@@ -134,5 +150,3 @@ def error_budget(summary: RunSummary) -> tuple[BudgetLine, ...]:
             "decoded against true depth of the simulated scene",
         ),
     ]
-    absent = (set() if decode else _OF_IMAGES) | (set() if layout else _OF_PILLARS)
-    return tuple(line for line in lines if line.value is not None or line.source not in absent)
