@@ -8,7 +8,7 @@ images, the zero of the depths.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.core.numeric.spread import normal_sigma
 from metafab.optics.geometry.imaging import Imaging
-from metafab.optics.measures.centring import Centring, find_centre
+from metafab.optics.measures.centring import Centre, Centring, find_centre
 from metafab.optics.measures.metrics import orientation_deg
 from metafab.optics.point_spread import Psf, PsfField
 from metafab.spec.fields import LARGEST
@@ -102,9 +102,18 @@ def psf_of_stack(
             follows from ``split_um`` and ``distance_mm``; otherwise both images have no distortion.
 
     Raises:
-        InputError: other shapes, values or depths, all faults of the depths at once; a split lens without its geometry.
+        InputError: other shapes, values or depths, or a split lens without its geometry, all faults at once; a zero
+            that leaves depths behind the lens; dark pictures; no circle for the centre.
     """
-    depth, zero, made = _checked(stack, np.asarray(depth_m, dtype=np.float64), pixel_um, zero_m, split_um, distance_mm)
+    depth_m = np.asarray(depth_m, dtype=np.float64)
+    faults = [
+        *_stack_faults(stack, depth_m),
+        *_depth_faults(depth_m),
+        *_geometry_faults(pixel_um, split_um, distance_mm, split_lens=split_lens),
+    ]
+    if faults:
+        raise InputError("PSF stack", faults)
+    depth, zero, made = _from_lens(depth_m, zero_m)
     lit, background, noise = _without_background(stack, depth)
     channels, _, n_y, n_x = stack.shape
     found = [find_centre(channel, centring) for channel in lit]
@@ -116,9 +125,6 @@ def psf_of_stack(
     ratio = float(pair[0].sum() / pair[1].sum())
     made.append("efficiency: 1 for the mean of both images at each depth")
     pair = pair / (pair.sum(axis=(-2, -1)).mean(axis=0)[None, :, None, None] * pixel_um**2)
-    if split_lens and (split_um is None or distance_mm is None or split_um[1] != 0.0 or split_um[0] == 0.0):
-        expected = "the distance of the sensor and a split along x alone, from which the distortion follows"
-        raise InputError.single("PSF stack", "split_lens", expected, f"{distance_mm} mm and {split_um} um")
     split_um, distance_mm, assumed = _geometry(pixel_um, split_um, distance_mm)
     made += assumed
     offset_um = pixel_um * np.array(centres if channels == 2 else [(0.0, 0.0)] * 2)
@@ -126,11 +132,6 @@ def psf_of_stack(
     # Noise against the signal of each picture; the y image made of x has the same.
     error = (noise * math.sqrt(n_y * n_x) / np.linalg.norm(lit, axis=(-2, -1))).max(axis=0)
     crowded = float(((lit * _border((n_y, n_x))).sum(axis=(-2, -1)) / lit.sum(axis=(-2, -1))).max())
-    # With two channels, the place of each image moves with its centre; the twin made of one is reflected about it.
-    warnings = [one.warning for one in found if channels == 1 and one.warning is not None]
-    if crowded > _CROWDED:
-        warnings.append(f"{100.0 * crowded:.2g} % of a picture's light lies in its border: photograph a larger window")
-    warnings += _saturated(stack, depth)
     psf = Psf(
         depth_m=depth,
         pixel_um=pixel_um,
@@ -160,7 +161,7 @@ def psf_of_stack(
         distance_mm=distance_mm,
         zero_m=zero,
         made=tuple(made),
-        warnings=tuple(warnings),
+        warnings=(*_spoiled(found, crowded), *_saturated(stack, depth)),
     )
     return psf, figures
 
@@ -179,6 +180,16 @@ def _geometry(
     return split_um, distance_mm, made
 
 
+def _spoiled(found: Sequence[Centre], border_light: float) -> list[str]:
+    """Sentences on the channels' centres and on the share of light in the border of the windows."""
+    # With two channels, the place of each image moves with its centre; the twin made of one is reflected about it.
+    sentences = [one.warning for one in found if len(found) == 1 and one.warning is not None]
+    if border_light > _CROWDED:
+        share = f"{100.0 * border_light:.2g} %"
+        sentences.append(f"{share} of a picture's light lies in its border: photograph a larger window")
+    return sentences
+
+
 def _saturated(stack: FloatArray, depth_m: FloatArray) -> list[str]:
     """A sentence on a picture of which many pixels share the largest value."""
     shared = (stack == stack.max(axis=(-2, -1), keepdims=True)).sum(axis=(-2, -1))
@@ -189,22 +200,11 @@ def _saturated(stack: FloatArray, depth_m: FloatArray) -> list[str]:
     return [f"{pixels} share exactly its largest value: is it saturated?"]
 
 
-def _checked(
-    stack: FloatArray,
-    depth_m: FloatArray,
-    pixel_um: float,
-    zero_m: float | None,
-    split_um: tuple[float, float] | None,
-    distance_mm: float | None,
-) -> tuple[FloatArray, float, list[str]]:
-    """Depths from the lens, their zero, and the assumptions on them."""
-    faults = [
-        *_stack_faults(stack, depth_m),
-        *_depth_faults(depth_m),
-        *_geometry_faults(pixel_um, split_um, distance_mm),
-    ]
-    if faults:
-        raise InputError("PSF stack", faults)
+def _from_lens(depth_m: FloatArray, zero_m: float | None) -> tuple[FloatArray, float, list[str]]:
+    """Depths from the lens, shape (n_depth,), the distance of their zero, and the assumption on it.
+
+    InputError for a zero that leaves depths behind the lens, or none apart.
+    """
     made = []
     zero = 0.0 if zero_m is None else zero_m
     if zero_m is None and depth_m[0] <= 0.0:
@@ -246,9 +246,9 @@ def _depth_faults(depth_m: FloatArray) -> Iterator[Fault]:
 
 
 def _geometry_faults(
-    pixel_um: float, split_um: tuple[float, float] | None, distance_mm: float | None
+    pixel_um: float, split_um: tuple[float, float] | None, distance_mm: float | None, *, split_lens: bool
 ) -> Iterator[Fault]:
-    """Faults of pixel, split and distance."""
+    """Faults of pixel, split and distance, and of a lens that splits by a grating."""
     if not 0.0 < pixel_um <= LARGEST:
         yield Fault("pixel_um", f"a number above zero, at most {LARGEST:g}", f"{pixel_um:g}")
     elif split_um is not None and not pixel_um <= math.hypot(*split_um) <= LARGEST:
@@ -256,6 +256,9 @@ def _geometry_faults(
         yield Fault("split_um", expected, f"{split_um[0]:g} {split_um[1]:g}", "measure it on a frame")
     if distance_mm is not None and not _LEAST_DISTANCE_MM <= distance_mm <= LARGEST:
         yield Fault("distance_mm", f"a number from {_LEAST_DISTANCE_MM:g} to {LARGEST:g}", f"{distance_mm:g}")
+    if split_lens and (split_um is None or distance_mm is None or split_um[1] != 0.0 or split_um[0] == 0.0):
+        expected = "the distance of the sensor and a split along x alone, from which the distortion follows"
+        yield Fault("split_lens", expected, f"{distance_mm} mm and {split_um} um")
 
 
 def _listed(depth_m: FloatArray) -> str:
