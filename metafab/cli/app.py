@@ -198,9 +198,17 @@ def require_positive(option: str, *values: float | None) -> None:
 
 @contextmanager
 def faults_of_options(options: Mapping[str, str], source: str | None = None) -> Iterator[None]:
-    """Name the arguments of faults by the ``options`` that gave them, and their error by ``source``, if it is given."""
+    """Name the arguments of faults, and in their remedies, by the ``options`` that gave them.
+
+    The error is named by ``source``, if it is given.
+    """
     try:
         yield
     except InputError as error:
-        faults = [replace(fault, field=options.get(fault.field, fault.field)) for fault in error.faults]
+        faults = []
+        for fault in error.faults:
+            remedy = fault.remedy
+            for name, option in options.items():
+                remedy = remedy.replace(f"`{name}`", f"`{option}`")
+            faults.append(replace(fault, field=options.get(fault.field, fault.field), remedy=remedy))
         raise InputError(source or error.source, faults) from error

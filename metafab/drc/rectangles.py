@@ -32,11 +32,11 @@ def check_rectangles(path: Path, design: Design, work: Work = Work()) -> DrcRepo
     for.
     """
     if work.cluster is not None:
-        expected, remedy = "'lattice' or 'polygons'", "it runs on one machine: leave it out"
-        raise InputError.single("--cluster", "engine", expected, "'rectangles'", remedy)
+        expected, remedy = "'lattice' or 'polygons' with a cluster", "it runs on one machine: leave the cluster out"
+        raise InputError.single("drc", "engine", expected, "'rectangles'", remedy)
     if not Outline.of(design).is_rectangle:
         expected = "'lattice' or 'polygons' for pillars of another shape"
-        raise InputError.single("--engine", "engine", expected, "'rectangles'", "it takes only rectangles")
+        raise InputError.single("drc", "engine", expected, "'rectangles'", "it takes only rectangles")
     shapes = read_shapes(path, design, work.progress)
     require_one_top(path, shapes.top_cells)
     require_shapes(path, design, shapes.count)

@@ -225,9 +225,9 @@ def _require_inside(found: OptimizeResult, chosen: NDArray[np.bool_]) -> None:
         at = free[place]
         expected = f"sizes that give one between {LOW[at]:g} and {HIGH[at]:g}"
         got = f"the bound {found.x[place]:.4g}"
-        faults.append(Fault(PARAMETERS[at], expected, got, "measure other doses, or fit fewer (`--free`)"))
+        faults.append(Fault(PARAMETERS[at], expected, got, "measure other doses, or fit fewer (`free`)"))
     if not found.success:
-        faults.append(Fault("sizes", "sizes on which the fit converges", str(found.message), "fit fewer (`--free`)"))
+        faults.append(Fault("sizes", "sizes on which the fit converges", str(found.message), "fit fewer (`free`)"))
     if faults:
         raise InputError("process fit", faults)
 
@@ -239,7 +239,7 @@ def _covariance(jacobian: FloatArray, names: Sequence[str]) -> FloatArray:
     del left
     if not scale.all() or singular[-1] < 1e-6 * singular[0]:
         worst = names[int(np.abs(right[-1]).argmax())]
-        expected, remedy = f"sizes that determine {', '.join(names)}", "measure other doses, or fit fewer (`--free`)"
+        expected, remedy = f"sizes that determine {', '.join(names)}", "measure other doses, or fit fewer (`free`)"
         raise InputError.single("process fit", "sizes", expected, f"sizes that leave {worst} open", remedy)
     inverse = (right.T / singular) / scale[:, None]
     return np.asarray(inverse @ inverse.T)
@@ -254,10 +254,10 @@ def _require_determined(values: FloatArray, errors: FloatArray, largest: float, 
         if error > most:
             further = "further focuses" if name in ("convergence", "focus") else "further doses, and up to the rim"
             expected, got = f"sizes that give it with an error below {most:.3g}", f"{value:.3g} +- {error:.3g}"
-            faults.append(Fault(name, expected, got, f"measure at {further}, or leave `{name}` out of `--free`"))
+            faults.append(Fault(name, expected, got, f"measure at {further}, or leave `{name}` out of `free`"))
     if largest > _MOST_CORRELATED:
         expected, got = f"sizes that tell {' and '.join(correlated)} apart", f"a correlation of {largest:.6f}"
-        remedy = f"measure at further doses or focuses, or leave `{correlated[1]}` out of `--free`"
+        remedy = f"measure at further doses or focuses, or leave `{correlated[1]}` out of `free`"
         faults.append(Fault(", ".join(correlated), expected, got, remedy))
     if faults:
         raise InputError("process fit", faults)

@@ -48,11 +48,11 @@ class NewLens:
         """
         if not 0.0 < self.numerical_aperture < 1.0:
             got = f"{self.numerical_aperture:g}"
-            raise InputError.single("new", "--na", "above 0 and below 1 (the lens focuses in air)", got)
+            raise InputError.single("new", "numerical_aperture", "above 0 and below 1 (the lens focuses in air)", got)
         least_um = 1e-3 * max(unit_cell.cell.period_nm)
         if not least_um <= self.aperture_um <= LARGEST_APERTURE_UM:
             expected = f"one period, {least_um:g}, to {LARGEST_APERTURE_UM:g}"
-            raise InputError.single("new", "--aperture-um", expected, f"{self.aperture_um:g}", "the unit is um")
+            raise InputError.single("new", "aperture_um", expected, f"{self.aperture_um:g}", "the unit is um")
         focal_um = 0.5 * self.aperture_um / math.tan(math.asin(self.numerical_aperture))
         spans_nm = unit_cell.sweep.width_nm, unit_cell.sweep.length_nm
         gap_nm = min(period - high for period, (_, high) in zip(unit_cell.cell.period_nm, spans_nm, strict=True))
@@ -99,7 +99,7 @@ def write_new(
     with resources.as_file(supplied) as copy:
         cell = load_unit_cell_of(copy if known is None else known)
     if lens is not None and kind != "metalens":
-        raise InputError.single("new", "--na, --aperture-um", "the kind metalens", repr(kind), "edit the file instead")
+        raise InputError.single("new", "lens", "the kind metalens", repr(kind), "edit the file instead")
     text = (resources.files("metafab.spec") / "kinds" / f"{kind}.toml").read_text(encoding="utf-8")
     relative = Path(os.path.relpath(unit_cell.resolve(), folder.resolve())).as_posix()
     sample = {"hologram": folder / f"{name}.png", "own_phase": folder / f"{name}.npy"}.get(kind)

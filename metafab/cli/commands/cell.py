@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from metafab.cli.app import Cluster, Json, TargetError, UnitCellFile, Workers, app, library_app
+from metafab.cli.app import Cluster, Json, TargetError, UnitCellFile, Workers, app, faults_of_options, library_app
 from metafab.cli.console import announce, coverage_warning, open_work, pace, show
 from metafab.cli.outputs import Hdf5Output, Output, require_file_output
 from metafab.core.errors import Fault, InputError
@@ -205,7 +205,8 @@ def library_import(
 
     path = output or sweep.with_suffix(".library.h5")
     require_file_output(path, [sweep, unit_cell])
-    made = import_sweep(sweep, load_unit_cell(unit_cell), quantity=quantity, time_sign=time_sign)
+    with faults_of_options({"quantity": "--quantity"}):
+        made = import_sweep(sweep, load_unit_cell(unit_cell), quantity=quantity, time_sign=time_sign)
     library.save(made, path)
     quality = library.quality(made)
     announce(coverage_warning(quality.coverage_rad))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from metafab.cli.app import Copy, DesignOption, Json, LayoutFile, Workers, app
+from metafab.cli.app import Copy, DesignOption, Json, LayoutFile, Workers, app, faults_of_options
 from metafab.cli.console import announce, open_work, show
 from metafab.cli.outputs import NamedOutput, require_file_output, require_folder_output
 from metafab.core.errors import InputError
@@ -195,7 +195,7 @@ def process_fit_command(
     if unknown := sorted(set(names) - set(PARAMETERS)):
         raise InputError.single("--free", "free", f"some of {', '.join(PARAMETERS)}", ", ".join(unknown))
     spec = load_design(design)
-    with open_work(workers) as (work, cost):
+    with open_work(workers) as (work, cost), faults_of_options({"free": "--free"}):
         chosen = [name for name in PARAMETERS if name in names]
         fitted = fitted_process(measured, layout, spec, chosen, copy, work)
     read = [file for file in (measured, layout, design, spec.library) if file.is_file()]

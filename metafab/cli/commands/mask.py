@@ -16,6 +16,7 @@ from metafab.cli.app import (
     LayoutFile,
     Workers,
     app,
+    faults_of_options,
     open_job,
 )
 from metafab.cli.console import announce, exit_on_violations, open_work, show
@@ -95,7 +96,7 @@ def drc_command(
     from metafab.spec import load_design
 
     spec = load_design(design)
-    with open_work(workers, cluster) as (work, _):
+    with open_work(workers, cluster) as (work, _), faults_of_options({"engine": "--engine"}):
         report = drc.check(layout, spec, engine=engine, work=work, copy=copy)
     if output is not None:
         drc.save([report], output, mask.top_name(spec.name))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from metafab.cli.app import Cluster, DesignFile, Json, Workers, app, open_job
+from metafab.cli.app import Cluster, DesignFile, Json, Workers, app, faults_of_options, open_job
 from metafab.cli.console import announce, coverage_warning, exit_on_violations, open_work, show
 from metafab.cli.headlines import headlines
 from metafab.cli.outputs import OutputFolder
@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from metafab.core.storage.rerun import Marks
     from metafab.spec import Design
     from metafab.steps import RunSummary
+
+
+#: Options of ``new`` by the arguments that its faults name.
+_NEW_OPTIONS = {"numerical_aperture": "--na", "aperture_um": "--aperture-um", "lens": "--na, --aperture-um"}
 
 
 @app.command("new")
@@ -54,7 +58,9 @@ def new_command(
         show(kinds(), json_)
         return
     files: list[Path] = []
-    lens = None if na is None and aperture_um is None else NewLens(0.2 if na is None else na, aperture_um or 100.0)
+    given = {"numerical_aperture": na, "aperture_um": aperture_um}
+    stated = {key: value for key, value in given.items() if value is not None}
+    lens = NewLens(**stated) if stated else None
     if any(given is not None for given in (wavelength_nm, material, substrate, shape)):
         if wavelength_nm is None or material is None or library is not None:
             expected = "--wavelength-nm and --material together for a new unit cell, or --library for one of your own"
@@ -76,7 +82,8 @@ def new_command(
         files = [library]
         announce(coverage_warning(cell.reach_rad))
     try:
-        written = write_new(name, kind, output, library, lens)
+        with faults_of_options(_NEW_OPTIONS):
+            written = write_new(name, kind, output, library, lens)
     except InputError:
         for path in files:
             path.unlink()

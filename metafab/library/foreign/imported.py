@@ -135,7 +135,7 @@ def _samples(
     if power.max() > _MOST_POWER:
         worst = int(np.argmax(power.max(axis=1)))
         got = f"{power.max():.3g} at {size_nm[worst, 0]:g} x {size_nm[worst, 1]:g} nm, read as quantity {quantity!r}"
-        remedy = "is it another quantity (--quantity), or are the media of the unit cell others?"
+        remedy = "is it another `quantity`, or are the media of the unit cell others?"
         raise InputError.single(str(path), "power transmittance", "at most 1", got, remedy)
     return size_nm, t if time_sign == "minus" else t.conj()
 

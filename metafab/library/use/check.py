@@ -67,8 +67,7 @@ class LibraryCheck:
         if self.not_checked:
             sentences.append(
                 f"{self.not_checked} of {self.samples} samples are not checked: the finer {self.against} ended at no "
-                "smaller error than the library's. Check them by the other solver (--against), whose error is "
-                "independent"
+                "smaller error than the library's. Check them by the other solver, whose error is independent"
             )
         if self.vacuous:
             sentences.append(

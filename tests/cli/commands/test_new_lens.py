@@ -58,7 +58,8 @@ def test_a_lens_of_rings_has_rules_for_walls_and_holes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--na", "1.2"], "--na"),
+        (["--na", "1.2"], "`--na`"),
+        (["--aperture-um", "0"], "`--aperture-um`"),
         (["--wavelength-nm", "532"], "--wavelength-nm and --material"),
         (["--wavelength-nm", "532", "--material", "TiO3"], "did you mean `TiO2`?"),
         (["--wavelength-nm", "532", "--material", "TiO2", "--shape", "circel"], "did you mean `circle`?"),

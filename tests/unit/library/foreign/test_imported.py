@@ -165,7 +165,7 @@ def test_sizes_outside_the_samples_stay_unknown(cell: UnitCell, tmp_path: Path) 
         ("width_nm,length_nm,amplitude,phase", 1.0, r"expected an amplitude `t`"),
         ("w,l,t_re,t_im", 1.0, r"expected `width_nm` and `length_nm`"),
         ("width_um,length_um,t_re,t_im", 1.0, r"is the unit right\?"),
-        ("width_nm,length_nm,t_re,t_im", 1.6, r"expected at most 1, got 1\.\d+ at .*--quantity"),
+        ("width_nm,length_nm,t_re,t_im", 1.6, r"expected at most 1, got 1\.\d+ at .*another `quantity`"),
         ("width_nm,length_nm,t_re,t_abs", 1.0, r"expected `t_re` and `t_im`, or `t_abs`"),
         (
             "width_nm,length_nm,t_abs,t_phase_rad",
