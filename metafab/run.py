@@ -148,13 +148,11 @@ class _State:
             return
         if self.job.skips and self.is_current(step):
             self.skipped.append(SkippedStep(step.name, UNCHANGED, self.log.seconds.get(step.name)))
+            self.use(step.name, self.records[step.name])
         elif step.is_beside and (copy := begin_beside(partial(_cost_of, step, self.job.silenced()), self.workers)):
             self.copies[step.name] = step, copy
-            return
         else:
             self.keep(step, partial(_cost_of, step, self.job))
-            return
-        self.use(step.name, self.records[step.name])
 
     @property
     def workers(self) -> int | None:

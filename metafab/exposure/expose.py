@@ -78,14 +78,23 @@ def expose(
     work: Work = Work(),
 ) -> Exposure:
     """Expose a lens that is alone on its wafer; arguments and errors as :func:`expose_lenses`."""
-    return expose_lenses(
-        (ExposedLens(pillars),), psf, outline, base_over_clearing_dose, contrast, correction, numerics, work
-    )[0]
+    (exposure,) = expose_lenses(
+        (ExposedLens(pillars),),
+        psf,
+        outline=outline,
+        base_over_clearing_dose=base_over_clearing_dose,
+        contrast=contrast,
+        correction=correction,
+        numerics=numerics,
+        work=work,
+    )
+    return exposure
 
 
 def expose_lenses(
     lenses: Sequence[ExposedLens],
     psf: BeamPsf,
+    *,
     outline: Outline = RECTANGLE,
     base_over_clearing_dose: float | None = None,
     contrast: float | None = None,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Literal
@@ -202,18 +202,12 @@ def _recover(
 ) -> ReadBack:
     """Put the shapes of all cells at their sites."""
     lattice, place, unit_nm = lattice_of(design), lens_copy(design, copy), reader.unit_nm
-    ratio = Fraction(unit_nm / design.mask.database_unit_nm).limit_denominator(1_000_000)
-    if not ratio:
-        expected = f"a database unit of about {design.mask.database_unit_nm:g} nm, as in the design"
-        raise InputError.single(
-            str(path), "database unit", expected, f"{unit_nm:g} nm", "export the file with that unit"
-        )
+    ratio = _unit_ratio(path, unit_nm, design)
     others = OtherCopies(design, copy, ratio)
     hierarchy = Hierarchy(reader.cells, str(path))
     if hierarchy.is_distorted and not reader.is_counted:
         raise MixedBlockError
-    total = hierarchy.count()
-    most = _most_shapes(design)
+    total, most, done = hierarchy.count(), _most_shapes(design), 0
     _refuse_many(path, total, most)
     if reader.is_counted:
         reader.budget.place(total)
@@ -221,10 +215,7 @@ def _recover(
         Recovery(lattice, ratio, str(path), (place.x_dbu, place.y_dbu))
         for place in (place, *(lens_copy(design, number) for number in along))
     )
-    recoveries = dict(zip(along, further, strict=True))
-    foreign: Counter[str] = Counter()
-    boxes: dict[str, list[IntArray]] = {}
-    done = 0
+    recoveries, foreign = dict(zip(along, further, strict=True)), _ForeignShapes()
     crosses = design.unit_cell.cell.shape == "cross"
     for chunk in _chunks(hierarchy, reader):
         pillars = _wide_crosses(chunk.rectangles) if crosses else chunk.rectangles
@@ -233,7 +224,7 @@ def _recover(
         for number in recoveries.keys() & of_copies.keys():
             recoveries[number].add(of_copies[number], chunk.shift)
         for other in chunk.others:
-            _add_foreign(other, foreign, boxes)
+            foreign.add(other)
         shapes = len(chunk.rectangles) + sum(len(other.boxes) for other in chunk.others)
         done += shapes
         if not reader.is_counted:  # The total was an estimate: blocks were skipped.
@@ -245,10 +236,7 @@ def _recover(
     def placed(found: Recovery) -> PillarMap:
         return PillarMap.from_array(lattice, found.finish(), found.size_index, tile_sites(design))
 
-    for number, found in recoveries.items():
-        if stray := sum(found.leftover(kind, unit_nm).count for kind in (OFF_SITE, OFF_GRID, DUPLICATE)):
-            expected, got = "rectangles at its lattice sites alone", f"{stray} others"
-            raise InputError.single(str(path), f"copy {number}", expected, got, "`metafab drc` lists their places")
+    _require_on_sites(path, recoveries)
     return ReadBack(
         path=path,
         format=format_of(path),
@@ -258,10 +246,7 @@ def _recover(
         off_site=recovery.leftover(OFF_SITE, unit_nm),
         off_grid=recovery.leftover(OFF_GRID, unit_nm),
         duplicates=recovery.leftover(DUPLICATE, unit_nm),
-        foreign={
-            kind: Leftover(count, np.array(boxes.get(kind, []), dtype=np.float64).reshape(-1, 4) * unit_nm)
-            for kind, count in sorted(foreign.items())
-        },
+        foreign=foreign.leftovers(unit_nm),
         other_layers=hierarchy.other_layers(),
         top_cells=hierarchy.tops,
         database_unit_nm=unit_nm,
@@ -270,11 +255,43 @@ def _recover(
     )
 
 
-def _add_foreign(other: Other, counts: Counter[str], boxes: dict[str, list[IntArray]]) -> None:
-    """Count a foreign shape by kind, and keep the first boxes of each kind."""
-    counts[other.kind] += other.count
-    kept = boxes.setdefault(other.kind, [])
-    kept.extend(other.boxes[: max(0, KEPT - len(kept))])
+def _unit_ratio(path: Path, unit_nm: float, design: Design) -> Fraction:
+    """Unit of a file in units of the design; InputError where it is less than a millionth of them."""
+    ratio = Fraction(unit_nm / design.mask.database_unit_nm).limit_denominator(1_000_000)
+    if not ratio:
+        expected = f"a database unit of about {design.mask.database_unit_nm:g} nm, as in the design"
+        remedy = "export the file with that unit"
+        raise InputError.single(str(path), "database unit", expected, f"{unit_nm:g} nm", remedy)
+    return ratio
+
+
+def _require_on_sites(path: Path, recoveries: Mapping[int, Recovery]) -> None:
+    """Refuse copies of the lens, by number, with rectangles that are not at their sites."""
+    for number, found in recoveries.items():
+        if stray := sum(found.count(kind) for kind in (OFF_SITE, OFF_GRID, DUPLICATE)):
+            expected, got = "rectangles at its lattice sites alone", f"{stray} others"
+            raise InputError.single(str(path), f"copy {number}", expected, got, "`metafab drc` lists their places")
+
+
+@dataclass
+class _ForeignShapes:
+    """Foreign shapes of a file by kind: counts of all, boxes of the first of each kind."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    boxes: dict[str, list[IntArray]] = field(default_factory=dict)
+
+    def add(self, other: Other) -> None:
+        """Count a shape, and keep its boxes while there is room."""
+        self.counts[other.kind] += other.count
+        kept = self.boxes.setdefault(other.kind, [])
+        kept.extend(other.boxes[: max(0, KEPT - len(kept))])
+
+    def leftovers(self, unit_nm: float) -> dict[str, Leftover]:
+        """The shapes of each kind, in the order of their names."""
+        return {
+            kind: Leftover(count, np.array(self.boxes[kind], dtype=np.float64).reshape(-1, 4) * unit_nm)
+            for kind, count in sorted(self.counts.items())
+        }
 
 
 def _wide_crosses(rectangles: IntArray) -> IntArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -175,9 +176,10 @@ def expose_mask(
     pillars, ratio = lenses[0].pillars, process.base_over_clearing_dose
     if ratio is None and psf.blur_nm != in_focus.blur_nm:  # All copies share the base dose, that of the best focus.
         ratio = base_dose_to_size(pillars, in_focus, outline, work)
+    exposed = partial(exposure.expose_lenses, psf=psf, outline=outline, contrast=process.contrast, work=work)
     plain: SizeErrors | None = None
     if correct and keep_plain:
-        (before,) = exposure.expose_lenses(lenses[:1], psf, outline, ratio, process.contrast, work=work)
+        (before,) = exposed(lenses[:1], base_over_clearing_dose=ratio)
         ratio, plain = before.figures.base_over_clearing_dose, exposure.SizeErrors.of(before)
         del before  # its doses are as large as the lens
     numerics = exposure.ExposureNumerics(
@@ -187,7 +189,7 @@ def expose_mask(
         keep_sizes=keep_sizes,
     )
     correction = process.correction if correct else "none"
-    found = exposure.expose_lenses(lenses, psf, outline, ratio, process.contrast, correction, numerics, work)
+    found = exposed(lenses, base_over_clearing_dose=ratio, correction=correction, numerics=numerics)
     if keep_plain and not correct:
         plain = exposure.SizeErrors.of(found[0])
     by_number = sorted(zip((lens.number for lens in lenses), found, strict=True))

@@ -224,7 +224,8 @@ class Deconvolver:
 
     def transfers(self, wanted: list[tuple[int, int]]) -> list[NDArray[np.complex64]]:
         """Transfer functions at each pair (step of the grid of depths, tile): shape (2, n_ky, n_kx) each."""
-        wanted = [(step, int(self._pair_of_tile[tile])) for step, tile in wanted]
+        _, pair = self._pairs
+        wanted = [(step, int(pair[tile])) for step, tile in wanted]
         missing = sorted({key for key in wanted if key not in self._transfers})
         with kept_threads() as pool:
             self._transfers.update(zip(missing, pool.map(self._transfer, missing), strict=True))
@@ -244,15 +245,16 @@ class Deconvolver:
         return np.asarray(transfer_functions(kernels.astype(np.float32), self.tiling.size), dtype=np.complex64)
 
     @cached_property
-    def _pair_of_tile(self) -> NDArray[np.intp]:
-        """Index in ``_kernels`` of each tile's pair: shape (n_tiles,)."""
-        return np.unique(self.calibration.tile_weights(self.tiling), axis=0, return_inverse=True)[1].ravel()
+    def _pairs(self) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+        """Distinct pairs of the tiles, as weights of the field points, (n_pairs, n_field), and that of each tile."""
+        weights, pair = np.unique(self.calibration.tile_weights(self.tiling), axis=0, return_inverse=True)
+        return weights, pair.ravel()
 
     @cached_property
     def _kernels(self) -> NDArray[np.float32]:
         """The distinct pairs of the tiles at each calibrated depth: shape (n_pairs, 2, n_depth, n_y, n_x)."""
-        weights, stack = np.unique(self.calibration.tile_weights(self.tiling), axis=0), self.calibration.stack
-        return np.stack([np.tensordot(share, stack, axes=(0, 2)) for share in weights])
+        weights, _ = self._pairs
+        return np.stack([np.tensordot(share, self.calibration.stack, axes=(0, 2)) for share in weights])
 
 
 @compiled

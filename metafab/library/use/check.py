@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
@@ -9,10 +10,12 @@ from typing import Literal
 
 import numpy as np
 
-from metafab.cell import CellNumerics, CellSolver, solve
+from metafab.cell import CellNumerics, CellResponse, CellSolver, solve
+from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.library import Library
+from metafab.library.surface import SizeResponse
 
 #: Target error of the finer solver over the library's target error.
 FINER = 0.1
@@ -96,17 +99,8 @@ def check(
         seed: of the random draw.
         executor: runs the solver; None for this process.
     """
-    rng = np.random.default_rng(seed)
-    if library.is_continuous:
-        width_nm = rng.uniform(library.width_nm[0], library.width_nm[-1], samples)
-        length_nm = rng.uniform(library.length_nm[0], library.length_nm[-1], samples)
-        response = library.surface(width_nm, length_nm)
-    else:
-        row, column = np.nonzero(library.known)
-        samples = min(samples, row.size)
-        drawn = rng.choice(row.size, samples, replace=False)
-        width_nm, length_nm = library.width_nm[column[drawn]], library.length_nm[row[drawn]]
-        response = library.at_sizes(width_nm, length_nm)
+    width_nm, length_nm = _drawn_sizes(library, samples, np.random.default_rng(seed))
+    response = (library.surface if library.is_continuous else library.at_sizes)(width_nm, length_nm)
     target = library.unit_cell.sweep.target_error
     numerics = CellNumerics(
         target_error=FINER * target if against == "rcwa" else max(target, MEEP_ERROR), solver=against
@@ -115,7 +109,29 @@ def check(
     answers = []
     for answer in in_order(executor or SerialExecutor(), partial(solver, numerics=numerics), cells):
         answers.append(answer)
-        progress("library check", len(answers), samples)
+        progress("library check", len(answers), len(cells))
+    return _compared(library, against, width_nm, length_nm, response, answers)
+
+
+def _drawn_sizes(library: Library, samples: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+    """Random widths and lengths, shape (n,) each: any in the range of a continuous library, else known sizes, once."""
+    if library.is_continuous:
+        width_nm = rng.uniform(library.width_nm[0], library.width_nm[-1], samples)
+        return width_nm, rng.uniform(library.length_nm[0], library.length_nm[-1], samples)
+    row, column = np.nonzero(library.known)
+    drawn = rng.choice(row.size, min(samples, row.size), replace=False)
+    return library.width_nm[column[drawn]], library.length_nm[row[drawn]]
+
+
+def _compared(
+    library: Library,
+    against: Literal["rcwa", "meep"],
+    width_nm: FloatArray,
+    length_nm: FloatArray,
+    response: SizeResponse,
+    answers: Sequence[CellResponse],
+) -> LibraryCheck:
+    """Errors and bounds of a library's ``response`` at sizes, shape (n,) each, by the answers of a solver."""
     reference = np.array([[answer.t[0, 0], answer.t[1, 1]] for answer in answers])
     solver_error = np.array([answer.error for answer in answers])
     t = np.stack([response.t_xx, response.t_yy], axis=-1)
@@ -130,7 +146,7 @@ def check(
     rows = np.stack([width_nm, length_nm, error, response.error, solver_error], axis=-1)
     return LibraryCheck(
         against=against,
-        samples=samples,
+        samples=len(answers),
         max_abs_error=float(error.max()),
         mean_abs_error=float(error.mean()),
         max_phase_error_rad=float(phase_error.max(initial=0.0)),

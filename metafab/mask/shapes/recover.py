@@ -96,6 +96,10 @@ class Recovery:
                 kept.append(strays[:room] + np.concatenate([shift, [0, 0]]))
             self._counts[kind] += len(strays)
 
+    def count(self, kind: int) -> int:
+        """Number of rectangles that were kept apart as ``OFF_SITE``, ``DUPLICATE`` or ``OFF_GRID``."""
+        return self._counts[kind]
+
     def leftover(self, kind: int, unit_nm: float) -> Leftover:
         """Return the rectangles that were kept apart as ``OFF_SITE``, ``DUPLICATE`` or ``OFF_GRID``."""
         return Leftover(self._counts[kind], np.concatenate([np.empty((0, 4)), *self._kept[kind]]) * unit_nm)
