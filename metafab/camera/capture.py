@@ -251,9 +251,7 @@ def _truth(renderer: Renderer, lens: Lens) -> Truth:
         for channel in (0, 1):
             intensity[channel][crop] += light * piece.share[channel]
         uncovered[crop] -= mask.coverage
-        covers = mask.coverage >= 0.5
-        depth_m[crop] = np.where(covers, piece.mean_depth_m, depth_m[crop])
-        label[crop] = np.where(covers, piece.label, label[crop])
+        piece.write_truth(mask.coverage, depth_m, label)
     intensity += renderer.scene.background * window.gain * np.maximum(uncovered, 0.0)
     return Truth(depth_m, intensity[0], intensity[1], label)
 

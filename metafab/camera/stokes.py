@@ -80,13 +80,10 @@ def photograph(scene: Scene, psf: StokesPsf, *, seed: int | None = None) -> Stok
             images += _blurred(light * stop, np.einsum("kjyx,j->kyx", kernels_at(psf, float(step_depth_m)), state))
         sharp = electrons * visible_piece(piece, nearer, PINHOLE).brightness.sum(axis=0) * stop[crop]
         stokes[:, *crop] += sharp * state[:, None, None]
-        covers = mask.coverage * stop[crop] >= 0.5
-        depth_m[crop] = np.where(covers, piece.mean_depth_m, depth_m[crop])
-        label[crop] = np.where(covers, piece.label, label[crop])
+        piece.write_truth(mask.coverage * stop[crop], depth_m, label)
     # The background is unpolarised and has no structure: it is not blurred. It is hidden like a surface at the farthest
     # depth.
-    whole = (slice(0, n_y), slice(0, n_x))
-    sky = Occluder(*whole, np.ones((n_y, n_x)), np.full((n_y, n_x), 1.0 / psf.depth_m[-1]))
+    sky = Occluder.everywhere((n_y, n_x), float(psf.depth_m[-1]))
     gain = kernels_at(psf, float(psf.depth_m[psf.depth_m.size // 2]))[:, 0].sum(axis=(-2, -1))
     light = electrons * scene.background * stop
     images += gain[:, None, None] * light * visible_share(sky, masks, shifts)

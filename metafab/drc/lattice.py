@@ -13,7 +13,7 @@ from metafab.core.conventions import FloatArray
 from metafab.core.parallel.executor import in_order
 from metafab.core.parallel.work import Work
 from metafab.drc.report import MARKERS, DrcReport, Findings, spanning_boxes
-from metafab.drc.rules import RULES, SLACK_DBU, Limits, require_one_top, rules_in
+from metafab.drc.rules import RULES, Limits, require_one_top, rules_in
 from metafab.layout import Aperture, Outline, PillarMap, smallest_gap
 from metafab.layout.pillars import SizeIndexArray
 from metafab.mask import ReadBack
@@ -66,13 +66,12 @@ def check_lattice(read_back: ReadBack, design: Design, work: Work = Work()) -> D
 
 def _check_leftovers(read_back: ReadBack, design: Design) -> Findings:
     """Violations that the reader has already set apart."""
-    findings = Findings(rules_in(design, RULES))
+    findings, smallest_nm = Findings(rules_in(design, RULES)), Limits.of(design, unit_nm=1.0).side
     leftovers = {"lattice_site": read_back.off_site, "grid": read_back.off_grid, "duplicate": read_back.duplicates}
     for rule, leftover in leftovers.items():
         findings.add(rule, leftover.boxes_nm, leftover.count)
         for narrow, column in (("min_width", 2), ("min_length", 3)):
-            below = leftover.boxes_nm[:, column] < design.rules.min_feature_nm - SLACK_DBU
-            findings.add(narrow, leftover.boxes_nm[below])
+            findings.add(narrow, leftover.boxes_nm[leftover.boxes_nm[:, column] < smallest_nm])
     # A second rectangle at a site lies on the first.
     findings.add("overlap", read_back.duplicates.boxes_nm, read_back.duplicates.count)
     for shapes in read_back.foreign.values():

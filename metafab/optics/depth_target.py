@@ -23,7 +23,10 @@ import numpy as np
 from metafab.core.errors import InputError
 from metafab.optics.geometry.imaging import Imaging, field_corner
 from metafab.optics.measures.space_variance import wavefront_change_rad
+from metafab.optics.numerics import SMALLEST_TARGET_IN_BAND
+from metafab.optics.propagation.blocks import COARSEST_TARGET
 from metafab.spec import Design
+from metafab.spec.design import MOST_FIELD_POINTS
 
 #: Share of the wanted depth error that the numerics may take.
 NUMERICAL_SHARE = 1.0 / 3.0
@@ -33,10 +36,8 @@ _PARTS = 4
 #: in its corners; it grows with the fourth power. In an outermost cell it is twice as large: measured 0.6 to 0.88 for
 #: the small lens with 4 to 8 points a side, 0.27 for the lens of Shen 2023.
 _FIELD_ERROR_PER_RAD4 = 0.45
-#: Fewest points that carry a cubic, and most points of a design, along an axis.
-_FEWEST_POINTS, _MOST_POINTS = 4, 65
-#: Largest target that the blocks of the pupil use, and smallest that a filter's light allows.
-_COARSEST, _FINEST = 1e-2, 1e-5
+#: Fewest points along an axis that carry a cubic.
+_FEWEST_POINTS = 4
 #: Samples along a side of the square in which the aperture lies.
 _SAMPLES = 256
 
@@ -52,13 +53,13 @@ def with_depth_target(design: Design) -> Design:
     # PSFs change least with depth at the farthest object.
     slope = depth_slope(design, design.scene.depths_m[-1])
     part = NUMERICAL_SHARE * target * slope / _PARTS
-    points = field_points(design, part) if part >= _FINEST else None
+    points = field_points(design, part) if part >= SMALLEST_TARGET_IN_BAND else None
     if points is None:
         expected = "a depth error that the numerics can reach"
         raise InputError.single(
             design.name, "verify.target_depth_error", expected, f"{target:g}", "allow more; the light's noise is larger"
         )
-    return replace(design, verify=replace(design.verify, target_error=min(part, _COARSEST), field_points=points))
+    return replace(design, verify=replace(design.verify, target_error=min(part, COARSEST_TARGET), field_points=points))
 
 
 def depth_slope(design: Design, depth_m: float) -> float:
@@ -91,6 +92,6 @@ def field_points(design: Design, error: float) -> tuple[int, int] | None:
             steps += [wavefront_change_rad(imaging, p, tangents, depth_m) for p in (0, 1)]
         return max(steps)
 
-    counts = range(_FEWEST_POINTS, _MOST_POINTS + 1)
+    counts = range(_FEWEST_POINTS, MOST_FIELD_POINTS + 1)
     along_x, along_y = (next((n for n in counts if step_rad(axis, n) <= largest_rad), None) for axis in (0, 1))
     return None if along_x is None or along_y is None else (along_x, along_y)

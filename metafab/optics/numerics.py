@@ -15,7 +15,7 @@ from metafab.optics.geometry.polarisation import Quantity, vectorial_effect
 
 #: Smallest target errors, for one wavelength and with a filter. Single precision leaves an error of 2e-6 and the
 #: low-rank kernel a sixth of the target; with a filter, half the target is left for the pupil blocks.
-_SMALLEST_TARGET, _SMALLEST_TARGET_IN_BAND = 4e-6, 1e-5
+_SMALLEST_TARGET, SMALLEST_TARGET_IN_BAND = 4e-6, 1e-5
 #: Scalar propagation is used if its error is below this share of the target error; a target above the second number
 #: counts as that number.
 _SCALAR_SHARE, _LARGEST_SCALAR_TARGET = 0.1, 1e-2
@@ -110,7 +110,7 @@ def _numerics_faults(imaging: Imaging, numerics: PsfNumerics) -> list[Fault]:
     if numerics.window_px < 1:
         faults.append(Fault("window_px", "at least 1 point along a side", str(numerics.window_px)))
     filter_nm = numerics.filter_fwhm_nm
-    smallest = _SMALLEST_TARGET if filter_nm is None else _SMALLEST_TARGET_IN_BAND
+    smallest = _SMALLEST_TARGET if filter_nm is None else SMALLEST_TARGET_IN_BAND
     if not smallest <= numerics.target_error < 1.0:
         expected = f"from {smallest:g}, the limit of single precision, to below 1"
         faults.append(Fault("target_error", expected, f"{numerics.target_error:g}"))

@@ -30,7 +30,9 @@ from metafab.spec.scene import Scene
 from metafab.spec.substrate import Substrate
 from metafab.spec.terms import Lens, PhaseTerm, Radial, SpiralZones, SplitLens
 
-FieldPoints = Annotated[int, Field(strict=True, ge=1, le=65)]
+#: Most directions along an axis of the field at which PSFs are computed.
+MOST_FIELD_POINTS = 65
+FieldPoints = Annotated[int, Field(strict=True, ge=1, le=MOST_FIELD_POINTS)]
 
 #: Smallest design rule over the wavelength; a smaller one is probably in micrometres.
 _LEAST_RULE = 1e-3

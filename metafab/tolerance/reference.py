@@ -22,9 +22,14 @@ from metafab.optics.propagation.image import relative_l2
 from metafab.optics.propagation.pupil import Pupil
 from metafab.tolerance.mask_light import Light, MaskOptics
 
-#: Trial depths of the decoder: their margin beyond the table's depths, as a share of the range of vergence, and their
-#: number per depth of the calibration.
-_MARGIN, _TRIALS = 0.25, 6
+#: Trial depths of the decoder: their margin beyond the table's depths, as a share of the range of vergence, and at
+#: least of the nearest depth's vergence, for tables of one depth; and their number per depth of the calibration.
+_MARGIN, _LEAST_MARGIN, _TRIALS = 0.25, 0.02, 6
+#: Least vergence of the trial depths, as a share of the farthest depth's, if that is finite: the margin of a wide range
+#: reaches beyond infinity.
+_LEAST_VERGENCE = 1e-3
+#: Relative L2 error of the calibration, interpolated over depth.
+_CALIBRATION_ERROR = 1e-3
 #: Over draws, figures with a systematic shift are averaged; the others have both signs and are given as rms.
 _MEAN_OVER_DRAWS = (
     "peak_ratio",
@@ -51,9 +56,9 @@ class DepthDecoder:
     def of(cls, optics: MaskOptics, pupils: Sequence[Pupil]) -> DepthDecoder:
         """Calibrate on the blocks of the nominal mask."""
         near, far = 1.0 / optics.depths_m[0], 1.0 / optics.depths_m[-1]
-        margin = max(_MARGIN * (near - far), 0.02 * near)
-        farthest_m = 1.0 / max(far - margin, 1e-3 * far) if far > 0.0 else math.inf
-        nodes = depth_nodes(optics.window.imaging, 1.0 / (near + margin), farthest_m, 1e-3)
+        margin = max(_MARGIN * (near - far), _LEAST_MARGIN * near)
+        farthest_m = 1.0 / max(far - margin, _LEAST_VERGENCE * far) if far > 0.0 else math.inf
+        nodes = depth_nodes(optics.window.imaging, 1.0 / (near + margin), farthest_m, _CALIBRATION_ERROR)
         stack = replace(optics, depths_m=tuple(nodes.tolist()), lens=None).light(pupils).pair
         vergence = np.linspace(1.0 / nodes[0], 1.0 / nodes[-1], _TRIALS * nodes.size)
         weights = spline_weights(1.0 / nodes, vergence)

@@ -135,9 +135,8 @@ class Lens:
         if scene.background > 0.0:
             # The background has no structure: it is not blurred. It is hidden like a surface at the farthest
             # calibrated depth.
-            whole = (slice(0, n_y), slice(0, n_x))
-            farthest = np.full((n_y, n_x), 1.0 / self.kernels.psf.depth_m.max())
-            share = visible_share(Occluder(*whole, np.ones((n_y, n_x)), farthest), nearer, self._shifts(window))
+            sky = Occluder.everywhere((n_y, n_x), float(self.kernels.psf.depth_m.max()))
+            share = visible_share(sky, nearer, self._shifts(window))
             inner = (slice(k_y // 2, k_y // 2 + n_y), slice(k_x // 2, k_x // 2 + n_x))
             light[inner] += scene.background * self.kernels.mean_throughput * window.gain * window.stop * share
         return light if any(spec.moves for spec in scene.objects) else self._kept(light, polarisation)

@@ -52,6 +52,11 @@ class Occluder:
                 vergence = vergence[tuple(nearest)]
         return cls(piece.rows, piece.columns, coverage, vergence, moves)
 
+    @classmethod
+    def everywhere(cls, shape: tuple[int, int], depth_m: float) -> Occluder:
+        """The mask of a surface at one depth that covers a whole grid of ``shape``, (n_y, n_x)."""
+        return cls(slice(0, shape[0]), slice(0, shape[1]), np.ones(shape), np.full(shape, 1.0 / depth_m))
+
 
 def visible_piece(piece: Piece, nearer: Sequence[Occluder], aperture_px_m: FloatArray) -> Piece:
     """The piece with the brightness that the aperture sees past nearer surfaces; its coverage is unchanged.

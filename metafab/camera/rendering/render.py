@@ -38,6 +38,15 @@ class Piece:
         covered = np.maximum(self.coverage.sum(axis=0), 1e-12)
         return np.asarray(np.tensordot(self.depth_m, self.coverage, axes=(0, 0)) / covered)
 
+    def write_truth(self, coverage: FloatArray, depth_m: FloatArray, label: NDArray[np.int32]) -> None:
+        """Write depth and number of the object to maps of the grid where it covers at least half of a pixel.
+
+        ``coverage`` is the covered share of each pixel of the part; the maps have the shape (n_y, n_x) of the grid.
+        """
+        crop, covers = (self.rows, self.columns), coverage >= 0.5
+        depth_m[crop] = np.where(covers, self.mean_depth_m, depth_m[crop])
+        label[crop] = np.where(covers, self.label, label[crop])
+
 
 @dataclass(frozen=True)
 class Renderer:

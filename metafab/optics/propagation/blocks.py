@@ -31,7 +31,7 @@ _EXPANSION_ERROR_RAD = 1e-4
 _LARGEST_EDGE_PHASE_RAD = 1.0
 #: Largest target error that is used: estimates of larger ones are unreliable where few blocks are lit, and this one
 #: costs next to nothing.
-_COARSEST_TARGET = 1e-2
+COARSEST_TARGET = 1e-2
 #: Errors that are estimated side by side; those after the first that is too large are discarded.
 _AHEAD = 4
 #: Limit of scratch in memory or on disk: a polarisation takes 75 bytes per block, coarser blocks included.
@@ -70,7 +70,7 @@ def reduce_to_target(
     Raises:
         InputError: the blocks do not fit into memory.
     """
-    imaging, target_error = windows[0].imaging, min(target_error, _COARSEST_TARGET)
+    imaging, target_error = windows[0].imaging, min(target_error, COARSEST_TARGET)
     probes = [tangent]
     if grid is not None:
         probes += [(float(t_x), float(t_y)) for t_x in grid[0][[0, -1]] for t_y in grid[1][[0, -1]]]
