@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,6 +48,16 @@ class LightChoice:
         return np.stack([profile(x_um, y_um) for profile in self.profiles]) + self.offsets_rad[..., None, None]
 
 
+class _Window(NamedTuple):
+    """A tile and a halo around it, inside the lattice."""
+
+    first: tuple[int, int]  #: (row, column) of the first site.
+    core: tuple[slice, slice]  #: Rows and columns of the tile in the window.
+    target_rad: FloatArray  #: Shape (2, n_y, n_x), target phases of x and y polarisation.
+    sizes: SizeIndexArray  #: Shape (n_y, n_x), size of each site; improved in place.
+    of_lights_rad: FloatArray | None  #: Shape (n_lights, 2, n_y, n_x), targets of several lights; None for one.
+
+
 @dataclass(frozen=True)
 class TileMapping:
     """Everything that is needed to map a tile; small enough to travel to another process."""
@@ -71,33 +83,29 @@ class TileMapping:
 
     def __call__(self, corner: tuple[int, int]) -> tuple[PillarTile, TileSums]:
         """Map the tile whose first site is ``corner``, (row, column)."""
-        lattice = self.aperture.lattice
-        row, column, target, sizes, of_lights = self._window(corner)
-        inset = corner[0] - row, corner[1] - column
+        window = self._window(corner)
         if self.choice is not None:
-            fields = self.choice.improve(sizes, target)
-            tile, sums = self._tile(corner, inset, sizes, target)
-            return tile, self._among(sums, inset, sizes, fields)
-        tile, sums = self._tile(corner, inset, sizes, target)
-        if self.lights is not None and of_lights is not None:
+            fields = self.choice.improve(window.sizes, window.target_rad)
+            tile, sums = self._tile(window)
+            return tile, self._among(sums, window, fields)
+        tile, sums = self._tile(window)
+        if self.lights is not None and window.of_lights_rad is not None:
             each = [
-                self._tile(corner, inset, sizes, at, table)[1]
-                for at, table in zip(of_lights, self.lights.sizes.tables, strict=True)
+                self._tile(window._replace(target_rad=target_rad), table)[1]
+                for target_rad, table in zip(window.of_lights_rad, self.lights.sizes.tables, strict=True)
             ]
             return tile, replace(sums, lights=tuple(each))
         if self.joint is None:
             return tile, sums
-        self.joint.improve(sizes, target, lattice, (row, column))
-        tile, joint_sums = self._tile(corner, inset, sizes, target)
+        self.joint.improve(window.sizes, window.target_rad, self.aperture.lattice, window.first)
+        tile, joint_sums = self._tile(window)
         return tile, replace(joint_sums, each=sums)
 
     def phase_shifts(self, corner: tuple[int, int]) -> ComplexArray:
         """:meth:`NeighbourChoice.phase_shifts` of the tile whose first site is ``corner``, shape (2, cells, cells)."""
         assert self.choice is not None
-        row, column, target, sizes, _ = self._window(corner)
-        inset = corner[0] - row, corner[1] - column
-        core = np.s_[inset[0] : inset[0] + self.tile_sites, inset[1] : inset[1] + self.tile_sites]
-        return self.choice.phase_shifts(sizes, target, core)
+        window = self._window(corner)
+        return self.choice.phase_shifts(window.sizes, window.target_rad, window.core)
 
     def sampled(self, corner: tuple[int, int], table: SizeTable) -> TileSums:
         """Sums of the tile whose first site is ``corner`` with the sizes of ``table``, light among neighbours included.
@@ -105,28 +113,23 @@ class TileMapping:
         ``table`` is :attr:`table` shifted for neighbours; :attr:`table` itself chooses sizes for equal neighbours.
         """
         assert self.choice is not None
-        row, column, target, lone, _ = self._window(corner)
-        inset = corner[0] - row, corner[1] - column
-        sizes = table.sizes_for(target[0], target[1]) * (lone > 0)
-        fields = (self.choice.reached(lone, target), self.choice.reached(sizes, target))
-        return self._among(self._tile(corner, inset, sizes, target)[1], inset, sizes, fields)
+        lone = self._window(corner)
+        target_rad = lone.target_rad
+        sampled = lone._replace(sizes=table.sizes_for(target_rad[0], target_rad[1]) * (lone.sizes > 0))
+        fields = tuple(self.choice.reached(each.sizes, target_rad) for each in (lone, sampled))
+        return self._among(self._tile(sampled)[1], sampled, fields)
 
-    def _among(
-        self,
-        sums: TileSums,
-        inset: tuple[int, int],
-        sizes: SizeIndexArray,
-        fields: tuple[ComplexArray, ComplexArray],
-    ) -> TileSums:
+    def _among(self, sums: TileSums, window: _Window, fields: Sequence[ComplexArray]) -> TileSums:
         """Add the sums of the fields over the target wave, before and after the choice among neighbours."""
-        core = np.s_[:, inset[0] : inset[0] + self.tile_sites, inset[1] : inset[1] + self.tile_sites]
+        core, sizes = (slice(None), *window.core), window.sizes
         among = np.array([field[core].sum(axis=(1, 2)) for field in fields])
         power = np.array([np.sum(np.abs(field[core]) ** 2, axis=(1, 2)) for field in fields])
-        square = [np.sum(np.angle(local_mean(field, sizes)[core]) ** 2 * (sizes[core[1:]] > 0)) for field in fields]
+        stands = sizes[window.core] > 0
+        square = [np.sum(np.angle(local_mean(field, sizes)[core]) ** 2 * stands) for field in fields]
         return replace(sums, among=among, among_power=power, among_square_error=np.array(square))
 
-    def _window(self, corner: tuple[int, int]) -> tuple[int, int, FloatArray, SizeIndexArray, FloatArray | None]:
-        """First row and column of a tile with its halo, targets, sizes by the look-up, and targets of all lights."""
+    def _window(self, corner: tuple[int, int]) -> _Window:
+        """The tile whose first site is ``corner``, (row, column), with its halo and sizes by the look-up."""
         lattice = self.aperture.lattice
         halo = np.array(lattice.reach)
         if self.joint is not None:
@@ -144,25 +147,19 @@ class TileMapping:
         else:
             sizes = self.lights.sizes.best(of_lights)[0]
         sizes *= self.aperture.inside(row, column, sizes.shape)
-        return row, column, target, sizes, of_lights
+        inset_y, inset_x = corner[0] - row, corner[1] - column
+        core = slice(inset_y, inset_y + self.tile_sites), slice(inset_x, inset_x + self.tile_sites)
+        return _Window((row, column), core, target, sizes, of_lights)
 
-    def _tile(
-        self,
-        corner: tuple[int, int],
-        inset: tuple[int, int],
-        sizes: SizeIndexArray,
-        target_rad: FloatArray,
-        table: SizeTable | None = None,
-    ) -> tuple[PillarTile, TileSums]:
-        """Cut the tile at ``inset`` out of a block with a halo; sum its fit by ``table``, by default :attr:`table`."""
-        row, column = inset
-        core = np.s_[row : row + self.tile_sites, column : column + self.tile_sites]
-        lattice = self.aperture.lattice
+    def _tile(self, window: _Window, table: SizeTable | None = None) -> tuple[PillarTile, TileSums]:
+        """Cut the tile out of a window; sum its fit by ``table``, by default :attr:`table`."""
+        (rows, columns), sizes, lattice = window.core, window.sizes, self.aperture.lattice
         down, right = lattice.reach
-        low, left = max(row - down, 0), max(column - right, 0)
-        with_neighbours = np.s_[low : row + self.tile_sites + down, left : column + self.tile_sites + right]
+        low, left = max(rows.start - down, 0), max(columns.start - right, 0)
+        with_neighbours = np.s_[low : rows.stop + down, left : columns.stop + right]
         gaps = smallest_gap(sizes[with_neighbours], self.table.size_dbu, lattice, outline=self.outline)
         counted = np.zeros_like(sizes)
-        counted[core] = sizes[core]
-        tile = PillarTile(*corner, np.ascontiguousarray(sizes[core]))
-        return tile, TileSums.of(counted, target_rad, table or self.table, gaps.smallest_dbu)
+        counted[window.core] = sizes[window.core]
+        corner = window.first[0] + rows.start, window.first[1] + columns.start
+        tile = PillarTile(*corner, np.ascontiguousarray(sizes[window.core]))
+        return tile, TileSums.of(counted, window.target_rad, table or self.table, gaps.smallest_dbu)

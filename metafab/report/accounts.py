@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from metafab.camera.frames.frame import RawFrame
 from metafab.core.conventions import FloatArray
-from metafab.decode.image import Image4D
+from metafab.decode.evaluation import overlap
 from metafab.report.run_folder import RunFolder
 
 
@@ -61,29 +60,15 @@ def loss_chain(run: RunFolder) -> list[Stage]:
 def depths_against_truth(run: RunFolder) -> DepthPairs | None:
     """True and decoded depth of every segment with known truth; None without any."""
     decoded = run.decoded
-    true_m = None if decoded is None or run.raw is None else _truth_on(decoded, run.raw)
-    if decoded is None or true_m is None:
+    both = None if decoded is None or run.raw is None else overlap(decoded, run.raw)
+    if decoded is None or both is None:
         return None
+    here, truth = both
+    segment, depth_m, true_m = decoded.segment[here], decoded.depth_m[here], truth.depth_m
     errors = {figures.number: figures.error_m for figures in decoded.segments}
     rows = []
-    for number in np.unique(decoded.segment[decoded.segment > 0]):
-        inside = (decoded.segment == number) & np.isfinite(decoded.depth_m) & np.isfinite(true_m)
+    for number in np.unique(segment[segment > 0]):
+        inside = (segment == number) & np.isfinite(depth_m) & np.isfinite(true_m)
         if inside.any():
-            rows.append((np.median(true_m[inside]), np.median(decoded.depth_m[inside]), errors.get(int(number), 0.0)))
+            rows.append((np.median(true_m[inside]), np.median(depth_m[inside]), errors.get(int(number), 0.0)))
     return DepthPairs(*np.array(rows, dtype=np.float64).T) if rows else None
-
-
-def _truth_on(decoded: Image4D, raw: RawFrame) -> FloatArray | None:
-    """True depth at the decoded pixels, NaN outside the truth's grid; both grids share the pixel pitch."""
-    if raw.truth is None or raw.truth_origin_um is None:
-        return None
-    true_m = np.full(decoded.depth_m.shape, np.nan)
-    indices = []
-    for axis in (1, 0):
-        offset = (decoded.origin_um[axis] - raw.truth_origin_um[axis]) / raw.pixel_um
-        indices.append(np.arange(decoded.depth_m.shape[1 - axis]) + round(offset))
-    row, column = np.meshgrid(*indices, indexing="ij")
-    n_y, n_x = raw.truth.depth_m.shape
-    known = (row >= 0) & (row < n_y) & (column >= 0) & (column < n_x)
-    true_m[known] = raw.truth.depth_m[row[known], column[known]]
-    return true_m
