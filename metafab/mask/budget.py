@@ -6,6 +6,8 @@ from pathlib import Path
 
 from metafab.core.storage.limits import beyond, limit
 
+#: Sites of a design that is not known, or has no lattice: a lens of 1.4 mm.
+UNKNOWN_SITES = 1 << 24
 #: Default of the limit ``memory_mb``, bytes, for a block or a list.
 _BYTES = 256e6
 #: Default of the limit ``seconds``: for any file, or for each byte of it, whichever is more.
@@ -25,7 +27,7 @@ class Budget:
     file is ``held`` as a whole.
     """
 
-    def __init__(self, path: Path, sites: int, *, tiles: int = 0, held: bool = False) -> None:
+    def __init__(self, path: Path, sites: int = UNKNOWN_SITES, *, tiles: int = 0, held: bool = False) -> None:
         self._source = str(path)
         self._held = held
         self._most_mb = limit("memory_mb", 1e-6 * _BYTES)

@@ -19,7 +19,7 @@ from metafab.core.parallel.progress import Progress, silent
 from metafab.core.storage.files import Latest, file_mark, require_file
 from metafab.core.storage.limits import beyond, limit, limited
 from metafab.layout import Outline, PillarMap, lattice_of, tile_sites
-from metafab.mask.budget import Budget
+from metafab.mask.budget import UNKNOWN_SITES, Budget
 from metafab.mask.drawing.copies import OtherCopies, lens_copies, lens_copy
 from metafab.mask.gdsii.reader import GdsiiReader
 from metafab.mask.oasis.reader import MixedBlockError, OasisReader
@@ -32,9 +32,6 @@ from metafab.spec.mask import MOST_DATATYPES
 Format = Literal["gds", "oas"]
 
 _GDSII_BEGINNING = b"\x00\x06\x00\x02"
-
-#: Sites for the budget of a design without a lattice: a lens of 1.4 mm.
-_SITES_WITHOUT_LATTICE = 1 << 24
 
 #: Estimated processor time of a chunk of shapes, s, whatever is in it.
 _SECONDS_OF_A_CHUNK = 5e-5
@@ -313,7 +310,7 @@ def _sites(design: Design) -> int:
     try:
         return math.prod(lattice_of(design).shape) * len(lens_copies(design))
     except InputError:  # Rules are checked even where the period is no whole number of units.
-        return _SITES_WITHOUT_LATTICE
+        return UNKNOWN_SITES
 
 
 def _tiles(design: Design) -> int:

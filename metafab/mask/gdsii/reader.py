@@ -86,7 +86,7 @@ class GdsiiReader:
         known: KnownShapes = RECTANGLES,
         budget: Budget | None = None,
     ) -> None:
-        self.budget = budget or Budget(path, 1 << 24)
+        self.budget = budget or Budget(path)
         self.is_counted = True
         self._path = path
         self._known = known

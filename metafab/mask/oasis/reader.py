@@ -93,7 +93,7 @@ class OasisReader:
         skip_blocks: bool = True,
         budget: Budget | None = None,
     ) -> None:
-        self.budget = budget or Budget(path, 1 << 24)
+        self.budget = budget or Budget(path)
         self.skip_blocks = skip_blocks
         self.is_counted = True
         self.known = known
