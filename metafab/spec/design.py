@@ -225,6 +225,42 @@ class Design(Checked):
         if self.rules.cd_sigma_nm > 0.0:
             yield "`rules.cd_sigma_nm` is not available for rings; `[tolerance] cd_bias_nm` solves them"
 
+    def _faults_of_lights(self) -> Iterator[str]:
+        """Faults of the lights: their list, phases and axes, and keys that are not available with several."""
+        if not self.light:
+            return
+        own_nm = self.unit_cell.illumination.wavelength_nm
+        lights, own = [light.key for light in self.light], (own_nm, 0.0, 0.0)
+        if len(set(lights)) < max(len(lights), 2) or own not in lights:
+            listed = "; ".join(light.label for light in self.light)
+            yield (
+                f"`light` must list two or more different wavelengths or directions, the {own_nm:g} nm of the unit "
+                f"cell along the axis among them, got {listed}"
+            )
+        elif self.light[lights.index(own)].phase is not None:
+            yield f"the `light` of {own_nm:g} nm, the unit cell's, has the design's `phase`; leave out `light.phase`"
+        spans = {} if self.unit_cell.sweep.axes is None else self.unit_cell.sweep.axes.spans
+        for light in self.light:
+            needed = {axis: abs(angle) for axis, angle in light.angles_deg.items()}
+            if needed and light.wavelength_nm != own_nm:
+                needed["wavelength_nm"] = light.wavelength_nm
+            for axis, value in needed.items():
+                low, high = spans.get(axis, (0.0, 0.0))
+                if not low <= value <= high:
+                    got = f"[{low:g}, {high:g}]" if axis in spans else "none"
+                    yield f"the `light` of {light.label} needs a `sweep.axes.{axis}` that holds {value:g}, got {got}"
+        rules = self.rules
+        hindrances = {
+            'rules.gap_rule = "pairs"': rules.gap_rule == "pairs",
+            "rules.cd_sigma_nm": rules.cd_sigma_nm > 0.0,
+            "rules.neighbours": rules.neighbours,
+            # Libraries at other wavelengths have no model of neighbours.
+            "optics.neighbours": self.optics is not None and self.optics.neighbours is True,
+            "optics.oblique": self.optics is not None and self.optics.oblique is True,
+        }
+        if given := [name for name, stands in hindrances.items() if stands]:
+            yield f"`light` is not available with `{'`, `'.join(given)}`; leave one out"
+
     @property
     def stated_limits(self) -> dict[str, float | None]:
         """Limits of reading a file by name; None where the readers choose."""
@@ -269,41 +305,6 @@ class Design(Checked):
         """Whether the phase is that of a lens with one focus, aberrations included."""
         focusing = any(isinstance(term, Lens | Radial | SplitLens) for term in self.phase)
         return focusing and not any(term.blurs for term in self.phase)
-
-    def _faults_of_lights(self) -> Iterator[str]:
-        if not self.light:
-            return
-        own_nm = self.unit_cell.illumination.wavelength_nm
-        lights, own = [light.key for light in self.light], (own_nm, 0.0, 0.0)
-        if len(set(lights)) < max(len(lights), 2) or own not in lights:
-            listed = "; ".join(light.label for light in self.light)
-            yield (
-                f"`light` must list two or more different wavelengths or directions, the {own_nm:g} nm of the unit "
-                f"cell along the axis among them, got {listed}"
-            )
-        elif self.light[lights.index(own)].phase is not None:
-            yield f"the `light` of {own_nm:g} nm, the unit cell's, has the design's `phase`; leave out `light.phase`"
-        spans = {} if self.unit_cell.sweep.axes is None else self.unit_cell.sweep.axes.spans
-        for light in self.light:
-            needed = {axis: abs(angle) for axis, angle in light.angles_deg.items()}
-            if needed and light.wavelength_nm != own_nm:
-                needed["wavelength_nm"] = light.wavelength_nm
-            for axis, value in needed.items():
-                low, high = spans.get(axis, (0.0, 0.0))
-                if not low <= value <= high:
-                    got = f"[{low:g}, {high:g}]" if axis in spans else "none"
-                    yield f"the `light` of {light.label} needs a `sweep.axes.{axis}` that holds {value:g}, got {got}"
-        rules = self.rules
-        hindrances = {
-            'rules.gap_rule = "pairs"': rules.gap_rule == "pairs",
-            "rules.cd_sigma_nm": rules.cd_sigma_nm > 0.0,
-            "rules.neighbours": rules.neighbours,
-            # Libraries at other wavelengths have no model of neighbours.
-            "optics.neighbours": self.optics is not None and self.optics.neighbours is True,
-            "optics.oblique": self.optics is not None and self.optics.oblique is True,
-        }
-        if given := [name for name, stands in hindrances.items() if stands]:
-            yield f"`light` is not available with `{'`, `'.join(given)}`; leave one out"
 
     def at_light(self, light: Light) -> Design:
         """Return the design for one light alone: with its wavelength, and with its phase terms if it has its own.

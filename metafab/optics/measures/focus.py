@@ -49,7 +49,7 @@ class PerfectLens:
 
 @dataclass(frozen=True)
 class LensFocus:
-    """The focus of a lens, to be measured from block sums."""
+    """The focus of a lens, to be measured."""
 
     perfect: Source  #: Field behind a :class:`PerfectLens` of the same aperture.
     depth_m: float  #: Object depth.
@@ -76,31 +76,20 @@ class LensFocus:
 
 
 def focus(
-    source: Source,
-    perfect: Source,
-    imaging: Imaging,
-    depth_m: float,
-    *,
-    polarisations: tuple[int, ...] = (0, 1),
-    target_error: float = 1e-3,
-    work: Work = Work(),
+    source: Source, lens: LensFocus, imaging: Imaging, *, target_error: float = 1e-3, work: Work = Work()
 ) -> FocusFigures:
-    """Return the figures of a focus.
+    """Return the figures of the focus of a ``lens``, whose light is ``source``.
 
-    Args:
-        perfect: field behind a :class:`PerfectLens` of the same aperture.
-        imaging: geometry; its pixel is not used.
-        polarisations: those that the lens focuses, 0 for x and 1 for y.
-        target_error: relative L2 error of the images.
+    The pixel of ``imaging`` is not used; ``target_error`` is the relative L2 error of the images.
     """
     unit_um = imaging.wavelength_um / imaging.numerical_aperture
     fine = _finely(imaging)
     numerics = PsfNumerics(window_px=_WINDOW_PX, target_error=target_error)
-    chosen = list(polarisations)
+    chosen, depth_m = list(lens.polarisations), lens.depth_m
     energy, limit = (
-        psf(light, fine, [depth_m], replace(numerics, energy=True), work=work) for light in (source, perfect)
+        psf(light, fine, [depth_m], replace(numerics, energy=True), work=work) for light in (source, lens.perfect)
     )
-    flux, flux_limit = (psf(light, fine, [depth_m], numerics, work=work) for light in (source, perfect))
+    flux, flux_limit = (psf(light, fine, [depth_m], numerics, work=work) for light in (source, lens.perfect))
     spot, best = (_Spot.of(stack.psf[chosen, 0].mean(axis=0), fine.pixel_um) for stack in (energy, limit))
     polarised, polarised_limit = (
         tuple(_Spot.of(stack.psf[p, 0], fine.pixel_um).fwhm_um for p in (0, 1)) for stack in (energy, limit)

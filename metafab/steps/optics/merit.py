@@ -202,10 +202,8 @@ def focus_figures(job: Job, imaging: Imaging, mask_path: Path) -> FocusFigures:
     lens = lens_focus(job.design, imaging)
     return focus(
         lit_source(job, written_light(job, mask_path)),
-        lit_source(job, lens.perfect),
+        replace(lens, perfect=lit_source(job, lens.perfect)),
         imaging,
-        lens.depth_m,
-        polarisations=lens.polarisations,
         target_error=job.design.verify.target_error,
         work=job.work,
     )

@@ -13,7 +13,7 @@ from metafab.core.figures import FocusFigures
 from metafab.layout.pillars import Lattice
 from metafab.optics import Imaging, ideal_field
 from metafab.optics.geometry.polarisation import FocusIntegrals
-from metafab.optics.measures.focus import PerfectLens, focus
+from metafab.optics.measures.focus import LensFocus, PerfectLens, focus
 from metafab.phase.terms.carriers import LensPhase
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.phase.terms.zernike import ZernikePhase
@@ -42,7 +42,7 @@ def _figures(sine: float, *, aperture_um: float = 60.0, aberration_rad: float = 
         aperture_um=aperture_um,
     )
     perfect = ideal_field(PerfectLens(imaging, math.inf), lattice, device)
-    return focus(ideal_field(PhaseProfile(terms), lattice, device), perfect, imaging, math.inf)
+    return focus(ideal_field(PhaseProfile(terms), lattice, device), LensFocus(perfect, math.inf), imaging)
 
 
 def _width(radius: FloatArray, curve: FloatArray) -> float:
