@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
 from metafab.core.parallel.executor import one_blas_thread
 from metafab.core.parallel.work import Work
 from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
@@ -61,6 +62,9 @@ def psf(
             of a filter.
     """
     begun = time.perf_counter()
+    if np.ndim(depths_m) != 1:
+        expected = f"a sequence of depths, such as [{depths_m}]"
+        raise InputError.single("optics", "depths_m", expected, f"{depths_m}")
     depths = [float(z) for z in depths_m]
     grid = None if field_tangents is None else _grid(field_tangents)
     require_valid(imaging, depths, tangent, grid, numerics)
