@@ -44,7 +44,7 @@ class WrittenFile:
 
 def write(
     pillars: PillarMap,
-    directory: Path,
+    directory: Path | str,
     design: Design,
     progress: Progress = silent,
     mapping: Assignment | None = None,
@@ -75,6 +75,7 @@ def write(
         dose_datatypes: whether ``doses.gds``, the mask with doses in thousandths as datatypes, is written; needs "gds"
             in ``mask.formats``.
     """
+    directory = Path(directory)
     files: dict[str, Path] = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
     figures = write_drawings(pillars, files, design, progress, executor, dose_class)
     tables = {"fields.csv": figures.fields.table()} if figures.fields is not None else {}
