@@ -33,11 +33,23 @@ _FEWEST_ACROSS = 2
 
 @dataclass(frozen=True)
 class SampledPhase(PolarisedTerm):
-    """The phase of a sampled complex field; beyond the outermost samples their values are held."""
+    """The phase of a sampled complex field; beyond the outermost samples their values are held.
+
+    Raises:
+        InputError: ``field`` is not complex, such as phases in place of their phasors, or has another shape.
+    """
 
     #: Shape (2, n_y, n_x) for x and y polarisation, or (1, n_y, n_x): then y is the point mirror of x.
     field: ComplexArray = field(repr=False)
     pitch_um: float  #: Distance of the samples; the grid is centred on the axis, lowest y first.
+
+    def __post_init__(self) -> None:
+        """Check type and shape of the samples."""
+        samples = np.asarray(self.field)
+        if samples.dtype.kind != "c" or samples.ndim != 3 or len(samples) not in {1, 2}:
+            expected, got = "a complex field of shape (2 or 1, n_y, n_x)", f"{samples.dtype} of shape {samples.shape}"
+            remedy = "numpy.exp(1j * phase_rad) is the field of phases; stack those of x and y polarisation"
+            raise InputError.single("phase", "field", expected, got, remedy)
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         mirrored = len(self.field) == 1 and polarisation == "y"
