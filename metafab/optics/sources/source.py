@@ -177,7 +177,7 @@ def made_field(pillars: PillarMap, library: Library, executor: Executor | None =
 def _require_period(pillars: PillarMap, library: Library) -> None:
     """Refuse (InputError) a library of another period than that of the pillars."""
     own_nm = library.unit_cell.cell.period_nm
-    period_nm = np.array(pillars.lattice.period_dbu) * pillars.lattice.database_unit_nm
+    period_nm = pillars.lattice.database_unit_nm * np.array(pillars.lattice.cell_dbu)
     if not np.allclose(own_nm, period_nm, rtol=1e-9):
         expected, got = ("{:g} x {:g} nm".format(*each) for each in (period_nm, own_nm))
         remedy = "give the library that the layout was made with"
