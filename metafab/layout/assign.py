@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from metafab.core.arguments import require_types
 from metafab.core.conventions import FloatArray
 from metafab.core.display import Displayed
 from metafab.core.errors import Fault, InputError
@@ -228,6 +229,7 @@ def _require_own(library: Library, design: Design, lights: Sequence[LightTarget]
 
     Height and materials may differ: a library of other ones stands for other pillars in the same mask.
     """
+    require_types("layout", library=(library, Library), design=(design, Design))
     faults = [*_differences("library", library.unit_cell, design.unit_cell)]
     if len(lights) != len(design.light):
         got, remedy = f"{len(lights)}", "give a `LightTarget` for each light"

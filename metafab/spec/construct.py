@@ -6,6 +6,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
+
 from metafab.core.conventions import Side
 from metafab.spec.cell import UnitCell
 from metafab.spec.design import Design
@@ -130,6 +132,8 @@ def _as_floats(value: Any, key: str = "") -> Any:
         return {name: _as_floats(item, name) for name, item in value.items()}
     if isinstance(value, tuple | list):
         return tuple(_as_floats(item, key) for item in value)
+    if isinstance(value, np.integer):
+        value = int(value)
     if isinstance(value, int) and not isinstance(value, bool) and key not in _INTEGERS:
         return float(value)
     return value

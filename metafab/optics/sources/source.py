@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.arguments import require_types
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.interpolation import bilinear_on_grid
@@ -155,7 +156,7 @@ def written_field(pillars: PillarMap, library: Library) -> WrittenField:
 
     InputError if the library lacks a size of the mask, or has another period.
     """
-    _require_period(pillars, library)
+    _require_own(pillars, library)
     width_nm, length_nm = pillars.size_nm()[1:].T
     table = power_amplitudes(library, width_nm, length_nm) if width_nm.size else np.empty((0, 2), dtype=np.complex128)
     if pillars.angle_deg is not None:
@@ -169,13 +170,14 @@ def made_field(pillars: PillarMap, library: Library, executor: Executor | None =
     The executor solves sizes beyond the library's sweep. InputError if too many sizes lie beyond the sweep, or the
     library has another period.
     """
-    _require_period(pillars, library)
+    _require_own(pillars, library)
     response = response_of_sizes(library, pillars.size_nm()[1:], executor)
     return _with_dark(pillars, power_normalised(response, library))
 
 
-def _require_period(pillars: PillarMap, library: Library) -> None:
-    """Refuse (InputError) a library of another period than that of the pillars."""
+def _require_own(pillars: PillarMap, library: Library) -> None:
+    """Refuse (InputError) a library of another period than that of the pillars, and other things than both."""
+    require_types("optics", pillars=(pillars, PillarMap), library=(library, Library))
     own_nm = library.unit_cell.cell.period_nm
     period_nm = pillars.lattice.database_unit_nm * np.array(pillars.lattice.cell_dbu)
     if not np.allclose(own_nm, period_nm, rtol=1e-9):

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from metafab.core.errors import InputError
@@ -98,6 +99,14 @@ def test_specs_are_dataclasses_with_units_in_their_names() -> None:
         sweep=paper_cell().sweep,
     )
     assert cell.cell.height_nm == 600.0
+
+
+def test_whole_numbers_of_numpy_are_whole_numbers() -> None:
+    design = make_design(
+        paper_cell(), aperture_um=np.int64(100), focal_length_mm=1, phase=[Lens()], pixel_um=2.4, focus_depth_m=0.003,
+        window_px=np.arange(40, 80, 8)[1],
+    )  # fmt: skip
+    assert (design.device.aperture_um, design.verify.window_px) == (100.0, 48)
 
 
 def test_single_values_in_place_of_sequences_are_refused_by_name() -> None:
