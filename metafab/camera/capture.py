@@ -20,6 +20,7 @@ from metafab.camera.rendering.occlusion import PINHOLE, Occluder, visible_piece
 from metafab.camera.rendering.picture import DepthPicture
 from metafab.camera.rendering.render import Renderer, step_depths_m
 from metafab.camera.rendering.windows import Window, sensor_windows
+from metafab.core.arguments import require_types
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.progress import Progress, silent
@@ -94,6 +95,7 @@ def capture(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progre
     Raises:
         InputError: a depth is outside the calibrated range, or the two images overlap.
     """
+    require_types("camera", scene=(scene, Scene), psf=(psf, Psf))
     return next(film(replace(scene, frames=1), psf, seed=seed, progress=progress))
 
 
@@ -104,6 +106,7 @@ def film(scene: Scene, psf: Psf, *, seed: int | None = None, progress: Progress 
     row has its own instants. The truth is that of the middle of each row's exposure. Noise differs from frame to frame;
     textures stay with their objects, and hot pixels in their places.
     """
+    require_types("camera", scene=(scene, Scene), psf=(psf, Psf))
     lenses = _lenses(scene, psf, _blurs(psf))
     yield from _film(scene, psf, lenses, scene.seed if seed is None else seed, progress)
 

@@ -27,7 +27,7 @@ from metafab.core.storage.tables import typed
 from metafab.information.plane_depth import PlaneEstimator
 from metafab.information.texture import Texture, restored_error
 from metafab.layout import lattice_of
-from metafab.optics import Imaging, Psf, PsfNumerics, depth_nodes, ideal_field, psf
+from metafab.optics import Apodisation, Imaging, Psf, PsfNumerics, apodised, depth_nodes, ideal_field, psf
 from metafab.optics.interpolation import without_depths
 from metafab.phase import profile_of
 from metafab.spec import Design, Scene, SceneObject
@@ -92,11 +92,10 @@ def _stack(design: Design, depth_m: FloatArray) -> tuple[Psf, FloatArray]:
     imaging = Imaging.of(design)
     near, far = 1.0 / float(depth_m[0]), 1.0 / float(depth_m[-1])
     margin = _MARGIN * (near - far)
-    target = design.verify.target_error
-    nodes = depth_nodes(imaging, 1.0 / (near + margin), 1.0 / max(far - margin, 0.5 * far), target)
+    numerics = PsfNumerics.of(design)
+    nodes = depth_nodes(imaging, 1.0 / (near + margin), 1.0 / max(far - margin, 0.5 * far), numerics.target_error)
     every = np.unique(np.concatenate([nodes, depth_m]))
-    source = ideal_field(profile_of(design), lattice_of(design), design.device)
-    numerics = PsfNumerics(window_px=design.verify.window_px, target_error=target)
+    source = apodised(ideal_field(profile_of(design), lattice_of(design), design.device), Apodisation.of(design))
     return psf(source, imaging, every, numerics, work=Work(workers=1)), nodes
 
 

@@ -12,6 +12,7 @@ from metafab.camera.frames.frame import RawFrame
 from metafab.camera.geometry import ImageMap
 from metafab.camera.kernels import PairKernels
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
 from metafab.core.parallel.executor import kept_threads, one_blas_thread
 from metafab.core.parallel.progress import Progress, silent
 from metafab.decode.evaluation import evaluated
@@ -87,9 +88,13 @@ def decode(
     reason in its ``figures``. Saturated and invalid pixels are left out.
 
     ``psf`` is the calibration over the depths that are to be measured, at least three. The image stands on the
-    geometric image grid of the x polarisation.
+    geometric image grid of the x polarisation. InputError for an array in place of a frame, whose pixels and place on
+    the sensor it lacks.
     """
     started = time.perf_counter()
+    if not isinstance(frame, RawFrame):
+        expected = "a RawFrame, of `metafab.camera.load` or RawFrame(array, pixel_um, origin_um, read_noise_e)"
+        raise InputError.single("decode", "frame", expected, f"{type(frame).__name__}")
     values = np.asarray(frame.frame)
     if values.ndim != 2 or values.dtype.kind not in "buif":
         return _empty((1, 1), frame, f"not a grey frame (shape {values.shape}, type {values.dtype})", started)

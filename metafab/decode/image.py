@@ -72,15 +72,15 @@ class Image4D(Displayed):
     figures: DecodingFigures = field(default_factory=DecodingFigures)
 
     def key_figures(self) -> dict[str, str]:
-        """Size, segments, depths and share of decoded pixels."""
+        """Size, segments, depths and share of decoded pixels; why nothing was decoded."""
         known = np.isfinite(self.depth_m)
         depths = f"{self.depth_m[known].min():g} to {self.depth_m[known].max():g} m" if known.any() else "none"
         return {
             "pixels": " x ".join(str(count) for count in self.depth_m.shape),
             "segments": str(len(self.segments)),
             "depths": depths,
-            "decoded": f"{100.0 * known.mean():.1f} % of the pixels",
-        }
+            "decoded": f"{100.0 * known.sum() / max(1, known.size):.1f} % of the pixels",
+        } | ({} if self.figures.reason is None else {"reason": self.figures.reason})
 
     def to_xarray(self) -> xarray.Dataset:
         """All maps over (y_um, x_um); MissingToolError if xarray is not installed."""
@@ -90,9 +90,9 @@ class Image4D(Displayed):
         return dataset({name: (tuple(axes), getattr(self, name), unit) for name, unit in units.items()}, axes)
 
 
-def save(image: Image4D, path: Path, *, inputs_sha256: str = "") -> None:
+def save(image: Image4D, path: Path | str, *, inputs_sha256: str = "") -> None:
     """Write a decoded image; an interrupted write leaves no file."""
-    with hdf5.create(path, kind=DECODED_KIND, format_version=DECODED_FORMAT, inputs_sha256=inputs_sha256) as file:
+    with hdf5.create(Path(path), kind=DECODED_KIND, format_version=DECODED_FORMAT, inputs_sha256=inputs_sha256) as file:
         put_axes(file, image.depth_m.shape, image.origin_um, image.pixel_um)
         for name, units, description in _DATASETS:
             values = getattr(image, name)

@@ -18,7 +18,7 @@ from metafab.spec import Design
 
 
 def check(
-    path: Path,
+    path: Path | str,
     design: Design,
     *,
     engine: str = "lattice",
@@ -42,7 +42,7 @@ def check(
     Raises:
         InputError: the file cannot be read as a mask, or the engine is unknown.
     """
-    start = time.perf_counter()
+    start, path = time.perf_counter(), Path(path)
     if engine == "lattice":
         report = check_lattice(reader(path, design, work.progress, copy), design, work)
     elif engine == "rectangles":

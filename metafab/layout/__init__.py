@@ -42,4 +42,4 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:
-    __getattr__ = further_names(__name__, {"metafab.layout.gaps": "Gaps"})
+    __getattr__ = further_names(__name__, {"metafab.layout.gaps": "Gaps", "metafab.layout.mapping": "LightTarget"})

@@ -8,15 +8,17 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
+from operator import attrgetter
 from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
+from metafab.core.arguments import require_types
 from metafab.core.conventions import FloatArray
 from metafab.core.display import Displayed
-from metafab.core.errors import InputError
+from metafab.core.errors import Fault, InputError
 from metafab.core.figures import LightMapping, MappingFigures
 from metafab.core.parallel.executor import AHEAD, default_workers, in_order, one_blas_thread
 from metafab.core.parallel.progress import Progress, silent
@@ -33,7 +35,7 @@ from metafab.library.neighbours.mask.choice import SHIFT_CELLS
 from metafab.library.use.lights import SizesOfLights
 from metafab.library.use.lookup import global_offsets
 from metafab.phase.terms.profile import PhaseProfile
-from metafab.spec import Design
+from metafab.spec import Design, UnitCell
 
 Result = TypeVar("Result")
 
@@ -99,8 +101,12 @@ def assign(
     sum of their overlaps decides. Profile and library are at the wavelength of the design's unit cell.
 
     ``executor`` runs tiles; threads of this process by default. It must stay open while the map of a lens of more than
-    ``kept_sites`` sites, which is mapped anew on each reading, is read. InputError if the library has no size that the
-    rules allow, or lengths do not fit the database unit.
+    ``kept_sites`` sites, which is mapped anew on each reading, is read.
+
+    Raises:
+        InputError: the library has no size that the rules allow, or another lattice, shape, wavelength or side of
+            incidence than the design's unit cell; ``lights`` are not those of the design; or lengths do not fit the
+            database unit.
     """
     mapping = mapping_of(profile, library, design, lights, executor)
     table, lattice, corners = mapping.table, mapping.aperture.lattice, mapping.corners()
@@ -197,6 +203,7 @@ def mapping_of(
 
     Arguments and errors are those of :func:`assign`.
     """
+    _require_own(library, design, lights)
     each = allowed_sizes(library, design)
     aperture = Aperture.of(design)
     joint = joint_sizes(library, design, each, aperture.lattice)
@@ -215,6 +222,33 @@ def mapping_of(
         profile, table, aperture, offsets, tile_sites(design), joint, choice, lights=of_lights, outline=outline
     )
     return _by_table(mapping, executor) if design.rules.neighbours == "table" else mapping
+
+
+def _require_own(library: Library, design: Design, lights: Sequence[LightTarget]) -> None:
+    """Refuse (InputError) libraries of another cell than the design's, or other lights than the design's.
+
+    Height and materials may differ: a library of other ones stands for other pillars in the same mask.
+    """
+    require_types("layout", library=(library, Library), design=(design, Design))
+    faults = [*_differences("library", library.unit_cell, design.unit_cell)]
+    if len(lights) != len(design.light):
+        got, remedy = f"{len(lights)}", "give a `LightTarget` for each light"
+        faults.append(Fault("lights", f"{len(design.light)}, as many as the design has", got, remedy))
+    for number, (light, spec) in enumerate(zip(lights, design.light, strict=False)):
+        lit = replace(design.unit_cell.illumination, wavelength_nm=spec.wavelength_nm)
+        wanted = replace(design.unit_cell, illumination=lit)
+        faults += _differences(f"lights[{number}].library", light.library.unit_cell, wanted)
+    if faults:
+        raise InputError(design.name, faults)
+
+
+def _differences(name: str, cell: UnitCell, wanted: UnitCell) -> Iterator[Fault]:
+    """Faults of a library called ``name`` whose cell has another lattice, shape or illumination than the wanted one."""
+    for key in ("cell.period_nm", "cell.is_hexagonal", "cell.shape", "illumination"):
+        got, expected = attrgetter(key)(cell), attrgetter(key)(wanted)
+        if got != expected:
+            remedy = "give the library of the design's unit cell"
+            yield Fault(f"{name}.unit_cell.{key}", f"that of the design, {expected}", str(got), remedy)
 
 
 def _by_table(mapping: TileMapping, executor: Executor | None) -> TileMapping:

@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from metafab.core.display import Displayed
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import default_workers, in_order
 from metafab.core.parallel.progress import Progress, silent
@@ -40,8 +41,8 @@ _SECONDS_OF_A_CHUNK = 5e-5
 _AHEAD_SHAPES = 1 << 19
 
 
-@dataclass(frozen=True, eq=False)
-class ReadBack:
+@dataclass(frozen=True, eq=False, repr=False)
+class ReadBack(Displayed):
     """The contents of a mask file; nothing is left out.
 
     Places of leftovers are those in the file, whichever copy of the lens was read.
@@ -65,6 +66,21 @@ class ReadBack:
     #: First and last datatype of the pillars: the design's, or those of the dose classes of a corrected mask.
     datatypes: tuple[int, int]
 
+    def key_figures(self) -> dict[str, str]:
+        """File, pillars, and the number of leftovers of each kind."""
+        count = sum(int(np.count_nonzero(tile.size_index)) for tile in self.pillars.tiles())
+        kinds = ", ".join(f"{left.count} {kind}" for kind, left in self.foreign.items() if left.count)
+        layers = ", ".join(f"{shapes} on {layer}" for layer, shapes in self.other_layers.items())
+        return {
+            "file": self.path.name,
+            "pillars": f"{count}",
+            "off site": f"{self.off_site.count}",
+            "off grid": f"{self.off_grid.count}",
+            "duplicates": f"{self.duplicates.count}",
+            "foreign": kinds or "none",
+            "other layers": layers or "none",
+        }
+
     def require_pillars_alone(self, remedy: str) -> None:
         """Refuse a lens without pillars, or a pillar layer with anything else than pillars at sites of the lattice.
 
@@ -87,7 +103,7 @@ class ReadBack:
 
 
 def read(
-    path: Path,
+    path: Path | str,
     design: Design,
     progress: Progress = silent,
     copy: int = 1,
@@ -107,7 +123,7 @@ def read(
     InputError if the file is missing, empty, truncated, damaged or of another kind, or holds far more shapes than the
     design has sites; or the design has no such copy; or rectangles of a copy in ``along`` are not at its sites.
     """
-    known = known or KnownShapes(Outline.of(design))
+    path, known = Path(path), known or KnownShapes(Outline.of(design))
     with limited(**design.stated_limits):
         try:
             return _recover(path, _open(path, design, progress, known, skip_blocks=True), design, progress, copy, along)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.arguments import require_types
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import default_workers
@@ -44,7 +45,7 @@ class WrittenFile:
 
 def write(
     pillars: PillarMap,
-    directory: Path,
+    directory: Path | str,
     design: Design,
     progress: Progress = silent,
     mapping: Assignment | None = None,
@@ -75,6 +76,8 @@ def write(
         dose_datatypes: whether ``doses.gds``, the mask with doses in thousandths as datatypes, is written; needs "gds"
             in ``mask.formats``.
     """
+    require_types("mask", pillars=(pillars, PillarMap), design=(design, Design))
+    directory = Path(directory)
     files: dict[str, Path] = {suffix: directory / f"layout.{suffix}" for suffix in design.mask.formats}
     figures = write_drawings(pillars, files, design, progress, executor, dose_class)
     tables = {"fields.csv": figures.fields.table()} if figures.fields is not None else {}

@@ -12,6 +12,7 @@ import numpy as np
 from metafab.core.errors import Fault, InputError
 from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
 from metafab.optics.geometry.polarisation import Quantity, vectorial_effect
+from metafab.spec import Design
 
 #: Smallest target errors, for one wavelength and with a filter. Single precision leaves an error of 2e-6 and the
 #: low-rank kernel a sixth of the target; with a filter, half the target is left for the pupil blocks.
@@ -35,6 +36,17 @@ class PsfNumerics:
     vectorial: bool | None = None
     #: Compute the density of electric energy |E|^2, always vectorial, in place of the flux through the plane.
     energy: bool = False
+
+    @classmethod
+    def of(cls, design: Design) -> PsfNumerics:
+        """Return the numerics of a design: window, error and propagation of ``[verify]``, filter of ``[optics]``."""
+        verify = design.verify
+        return cls(
+            window_px=verify.window_px,
+            target_error=verify.target_error,
+            filter_fwhm_nm=None if design.optics is None else design.optics.filter_fwhm_nm,
+            vectorial=verify.vectorial,
+        )
 
     @property
     def block_error(self) -> float:

@@ -10,9 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.arguments import require_types
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
 from metafab.core.parallel.executor import one_blas_thread
 from metafab.core.parallel.work import Work
+from metafab.layout.pillars import PillarMap
 from metafab.optics.geometry.imaging import FieldGrid, Imaging, Tangent
 from metafab.optics.geometry.path import JonesEntry, Ray, power_at_aperture
 from metafab.optics.interpolation import at_tangent
@@ -61,6 +64,13 @@ def psf(
             of a filter.
     """
     begun = time.perf_counter()
+    require_types("optics", imaging=(imaging, Imaging), numerics=(numerics, PsfNumerics))
+    if isinstance(source, PillarMap):
+        expected, remedy = "light, such as a WrittenField", "`written_field` gives that of pillars and their library"
+        raise InputError.single("optics", "source", expected, "PillarMap", remedy)
+    if np.ndim(depths_m) != 1:
+        expected = f"a sequence of depths, such as [{depths_m}]"
+        raise InputError.single("optics", "depths_m", expected, f"{depths_m}")
     depths = [float(z) for z in depths_m]
     grid = None if field_tangents is None else _grid(field_tangents)
     require_valid(imaging, depths, tangent, grid, numerics)

@@ -32,7 +32,7 @@ def mean_direction(design: Design) -> tuple[tuple[float, float], tuple[float, fl
 
     Arrays and Zernike polynomials count; an unusable array raises InputError. Gratings have their own direction;
     lenses, helices and holograms are centred on it. The slope is the mean over the aperture of the wrapped difference
-    between neighbouring sites.
+    between neighbouring sites. A step of half a turn, as of a binary phase, points both ways and counts as none.
     """
     own = tuple(term for term in design.phase if term.is_own)
     if not own:
@@ -45,8 +45,10 @@ def mean_direction(design: Design) -> tuple[tuple[float, float], tuple[float, fl
 def _mean_direction(design: Design, terms: list[Term]) -> tuple[tuple[float, float], tuple[float, float]]:
     # Over a whole period: where the pillars alias a slope, the light goes into the direction of the alias.
     period_x_nm, period_y_nm = design.unit_cell.cell.period_nm
-    slopes, inside = _slopes(design, terms, (1e-3 * period_x_nm, 1e-3 * period_y_nm)), _inside(design)
-    mean = slopes[..., inside].sum(axis=-1) / max(1, np.count_nonzero(inside))
+    period_um, inside = (1e-3 * period_x_nm, 1e-3 * period_y_nm), _inside(design)
+    slopes = _slopes(design, terms, period_um)
+    half_turns = np.abs(slopes) * np.array(period_um)[:, None, None] > np.pi * (1.0 - _ROUNDING)
+    mean = np.where(half_turns, 0.0, slopes)[..., inside].sum(axis=-1) / max(1, np.count_nonzero(inside))
     cosines = mean * design.wavelength_um / (2.0 * np.pi)
     (x_x, x_y), (y_x, y_y) = cosines.tolist()
     return (x_x, x_y), (y_x, y_y)

@@ -18,7 +18,7 @@ KIND = "metafab phase"
 FORMAT = 1
 
 
-def save(profile: PhaseProfile, design: Design, path: Path, *, samples: int = 401) -> None:
+def save(profile: PhaseProfile, design: Design, path: Path | str, *, samples: int = 401) -> None:
     """Write the phases on ``samples`` x ``samples`` points of the bounding square of the aperture.
 
     ``/phase_rad`` is the whole phase at the points themselves. Lens and split carriers turn many times between two
@@ -28,7 +28,7 @@ def save(profile: PhaseProfile, design: Design, path: Path, *, samples: int = 40
     axis_um = np.linspace(-half_side_um, half_side_um, samples)
     inside = design.device.encloses(axis_um, axis_um)
     inputs = fingerprint(design.phase, design.device, design.unit_cell.illumination, design.numerics.seed)
-    with hdf5.create(path, kind=KIND, format_version=FORMAT, inputs_sha256=inputs) as file:
+    with hdf5.create(Path(path), kind=KIND, format_version=FORMAT, inputs_sha256=inputs) as file:
         hdf5.put(file, "x_um", axis_um, units="um", description="position from the axis", dims=("x_um",))
         hdf5.put(file, "y_um", axis_um, units="um", description="position from the axis", dims=("y_um",))
         hdf5.put(file, "polarisation", list(POLARISATIONS), units="1", description="x, y", dims=("polarisation",))
@@ -49,7 +49,7 @@ def save(profile: PhaseProfile, design: Design, path: Path, *, samples: int = 40
             file.attrs[name] = value
 
 
-def load(path: Path) -> tuple[FloatArray, FloatArray]:
+def load(path: Path | str) -> tuple[FloatArray, FloatArray]:
     """Read positions along either axis, shape (n,), um, and the pupil part of the phases, shape (2, n, n), rad.
 
     Phases are NaN outside the aperture. A missing, truncated or foreign file raises InputError.

@@ -1,6 +1,6 @@
 """Design, unit-cell and scene files (TOML) -> frozen, validated specs.
 
-- ``fields``   checked number types and the ``spec`` decorator
+- ``fields``   checked number types and the base of specs whose fields must fit each other
 - ``cell``     UnitCell: geometry, materials and illumination of one cell, and the sweep of a library
 - ``device``   what is made and stands around it: lens, design rules, sensor, other optics
 - ``design``   Design: all tables of a design file, and how they must fit each other
@@ -16,7 +16,9 @@
 - ``toml``     TOML -> spec, reporting all faults of a file; spec -> canonical TOML
 - ``load``     unit-cell, scene, process and design files, with the files that they reference
 
-In: paths. Out: frozen dataclasses whose public names carry their units.
+In: paths. Out: frozen dataclasses whose public names carry their units. Files, :func:`make_unit_cell` and
+:func:`make_design` report all faults at once by an InputError; a spec that Python makes alone, such as a Scene, refuses
+them by pydantic's ValidationError, a ValueError.
 """
 
 from metafab.spec.cell import Axes as Axes

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 
 from metafab.core.conventions import Side
 from metafab.spec.cell import UnitCell
@@ -93,12 +95,12 @@ def make_design(
         "library": Path("library.h5"),
         "unit_cell": cell,
         "device": {"aperture_um": aperture_um, "focal_length_mm": focal_length_mm, "aperture_shape": aperture_shape},
-        "phase": tuple(phase),
+        "phase": _as_tuple(phase),
         "rules": {"min_gap_nm": min_gap_nm, "min_feature_nm": min_feature_nm},
-        "mask": {"formats": tuple(formats), "write_field_um": write_field_um(cell)},
+        "mask": {"formats": _as_tuple(formats), "write_field_um": write_field_um(cell)},
         "sensor": {"pixel_um": pixel_um, "focus_depth_m": focus_depth_m},
         "verify": {
-            "depths_m": (focus_depth_m,) if depths_m is None else tuple(depths_m),
+            "depths_m": (focus_depth_m,) if depths_m is None else _as_tuple(depths_m),
             "window_px": window_px,
             "target_error": target_error,
         },
@@ -108,7 +110,16 @@ def make_design(
 
 
 def _material(value: complex | str) -> str | dict[str, float]:
-    return value if isinstance(value, str) else {"n": complex(value).real, "k": complex(value).imag}
+    """Table of an index, or the name of a record; anything else as it is, for :func:`validate` to refuse."""
+    try:
+        return value if isinstance(value, str) else {"n": complex(value).real, "k": complex(value).imag}
+    except TypeError:
+        return value  # type: ignore[return-value]
+
+
+def _as_tuple(values: Any) -> Any:
+    """Tuple of a sequence or an array; a text or a single value as it is, for :func:`validate` to refuse."""
+    return tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else values
 
 
 #: Keys whose values are integers.
@@ -121,6 +132,8 @@ def _as_floats(value: Any, key: str = "") -> Any:
         return {name: _as_floats(item, name) for name, item in value.items()}
     if isinstance(value, tuple | list):
         return tuple(_as_floats(item, key) for item in value)
+    if isinstance(value, np.integer):
+        value = int(value)
     if isinstance(value, int) and not isinstance(value, bool) and key not in _INTEGERS:
         return float(value)
     return value

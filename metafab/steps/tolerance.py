@@ -12,7 +12,7 @@ from metafab.steps.exposure import Printed, made_mask
 from metafab.steps.job import Job, Step, in_folder, no_mask
 from metafab.steps.layout import mask_paths
 from metafab.steps.library import open_library
-from metafab.steps.optics import filter_fwhm_nm, mask_source
+from metafab.steps.optics import mask_source
 from metafab.steps.optics.merit import lens_focus
 
 FILE = "tolerance.json"
@@ -38,11 +38,7 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
         design.verify.depths_m,
         design.tolerance or Tolerances(),
         min(layout.field_sites(design)),
-        optics.PsfNumerics(
-            window_px=design.verify.window_px,
-            target_error=design.verify.target_error,
-            filter_fwhm_nm=filter_fwhm_nm(design),
-        ),
+        optics.PsfNumerics.of(design),
         made=made,
         transmission=optics.Apodisation.of(design),
         lens=lens_focus(design, imaging) if design.is_lens else None,

@@ -2,7 +2,8 @@
 
 Columns (.csv) and arrays (.npz, .h5) go by name: sizes ``width_nm`` and ``length_nm``, or ``diameter_nm`` (also in
 ``_um`` and ``_m``); amplitudes ``t`` for both polarisations or ``t_xx`` and ``t_yy``. In a table of numbers an
-amplitude ``t`` consists of ``t_re`` and ``t_im``, or of ``t_abs`` and ``t_phase_rad`` or ``t_phase_deg``. Arrays are
+amplitude ``t`` consists of ``t_re`` and ``t_im``, or of ``t_abs`` and ``t_phase_rad`` or ``t_phase_deg``. Case does not
+count, except that ``T``, the letter of a power transmittance, is no amplitude. Other columns are left out. Arrays are
 columns of equal length, or maps of shape (n_length, n_width) over ``width_nm``, shape (n_width,), and ``length_nm``,
 shape (n_length,).
 """
@@ -84,7 +85,7 @@ def read_sweep(path: Path) -> SweepTable:
 
 
 def _columns(path: Path) -> dict[str, NDArray[np.generic]]:
-    """Arrays of a file by lower-case name."""
+    """Arrays of a file by lower-case name; ``T`` keeps its case."""
     expected = "a .csv, .npz or .h5 file with a sweep"
     readers = {".csv": _csv, ".npz": _npz, ".h5": _h5, ".hdf5": _h5}
     if path.suffix.lower() not in readers:
@@ -111,7 +112,7 @@ def _csv(path: Path) -> dict[str, NDArray[np.generic]]:
         raise ValueError("no rows")
     delimiter = next((sign for sign in ",;\t" if sign in lines[0]), None)
     rows = [line.split() for line in lines] if delimiter is None else list(csv.reader(lines, delimiter=delimiter))
-    names = [name.strip().lower() for name in rows[0]]
+    names = [_lower(name.strip()) for name in rows[0]]
     if uneven := next((n for n, row in enumerate(rows, start=1) if len(row) != len(names)), None):
         raise ValueError(f"{len(rows[uneven - 1])} cells in row {uneven}, not {len(names)} as in the header")
     cells = {name: [row[k].strip() for row in rows[1:]] for k, name in enumerate(names)}
@@ -119,6 +120,11 @@ def _csv(path: Path) -> dict[str, NDArray[np.generic]]:
         name: np.array([complex(v.replace("i", "j")) if _is_complex(v) else _real(v) for v in values])
         for name, values in cells.items()
     }
+
+
+def _lower(name: str) -> str:
+    """Lower-case name of a column, except for ``T``: a transmittance."""
+    return name if name == "T" else name.lower()
 
 
 def _real(text: str) -> float:
@@ -131,14 +137,14 @@ def _is_complex(text: str) -> bool:
 
 
 def _npz(path: Path) -> dict[str, NDArray[np.generic]]:
-    return {name.lower(): array for name, array in read_arrays(path).items()}
+    return {_lower(name): array for name, array in read_arrays(path).items()}
 
 
 def _h5(path: Path) -> dict[str, NDArray[np.generic]]:
     with hdf5.open_file(path) as file:
         names = [name for name in file if isinstance(file[name], h5py.Dataset)]
         hdf5.require_modest(file, path, names=["/" + name for name in names])
-        return {name.lower(): _as_written(file[name]) for name in names}
+        return {_lower(name): _as_written(file[name]) for name in names}
 
 
 def _as_written(item: h5py.Dataset) -> NDArray[np.generic]:
@@ -191,6 +197,10 @@ def _require_moduli(values: NDArray[np.generic], column: str, path: Path) -> Non
 def _amplitude(columns: Mapping[str, NDArray[np.generic]], name: str, path: Path) -> ComplexArray | None:
     """Complex amplitude of one name; None if the file has none."""
     if name in columns:
+        if not np.iscomplexobj(columns[name]):
+            expected, got = "complex numbers, such as 0.1+0.2j", "real ones, which have no phase"
+            remedy = f"name its parts `{name}_re` and `{name}_im`, or `{name}_abs` and `{name}_phase_rad` (or _deg)"
+            raise InputError.single(str(path), name, expected, got, remedy)
         return np.asarray(columns[name], dtype=np.complex128)
     parts = {suffix: np.asarray(columns[name + suffix]) for suffix in _SUFFIXES if name + suffix in columns}
     if not parts:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.arguments import require_types
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.numeric.interpolation import bilinear_on_grid
@@ -84,7 +85,7 @@ class WrittenField:
     pillars: PillarMap  #: Size index of each site.
     #: Shape (n_sizes + 1, n_polarisations), t sqrt(n_out / n_in) of each size, as in :class:`FieldTile`; row 0 (no
     #: pillar) is dark.
-    table: ComplexArray
+    table: ComplexArray = field(repr=False)
 
     @property
     def lattice(self) -> Lattice:
@@ -153,8 +154,9 @@ class ApodisedField:
 def written_field(pillars: PillarMap, library: Library) -> WrittenField:
     """Return the field behind the pillars of a mask, by the zero-order transmission of the library.
 
-    InputError if the library lacks a size of the mask.
+    InputError if the library lacks a size of the mask, or has another period.
     """
+    _require_own(pillars, library)
     width_nm, length_nm = pillars.size_nm()[1:].T
     table = power_amplitudes(library, width_nm, length_nm) if width_nm.size else np.empty((0, 2), dtype=np.complex128)
     if pillars.angle_deg is not None:
@@ -165,10 +167,23 @@ def written_field(pillars: PillarMap, library: Library) -> WrittenField:
 def made_field(pillars: PillarMap, library: Library, executor: Executor | None = None) -> WrittenField:
     """Return the field behind upright pillars of any size, such as printed or measured ones.
 
-    The executor solves sizes beyond the library's sweep. InputError if too many sizes lie beyond the sweep.
+    The executor solves sizes beyond the library's sweep. InputError if too many sizes lie beyond the sweep, or the
+    library has another period.
     """
+    _require_own(pillars, library)
     response = response_of_sizes(library, pillars.size_nm()[1:], executor)
     return _with_dark(pillars, power_normalised(response, library))
+
+
+def _require_own(pillars: PillarMap, library: Library) -> None:
+    """Refuse (InputError) a library of another period than that of the pillars, and other things than both."""
+    require_types("optics", pillars=(pillars, PillarMap), library=(library, Library))
+    own_nm = library.unit_cell.cell.period_nm
+    period_nm = pillars.lattice.database_unit_nm * np.array(pillars.lattice.cell_dbu)
+    if not np.allclose(own_nm, period_nm, rtol=1e-9):
+        expected, got = ("{:g} x {:g} nm".format(*each) for each in (period_nm, own_nm))
+        remedy = "give the library that the layout was made with"
+        raise InputError.single("library", "period_nm", f"that of the pillars, {expected}", got, remedy)
 
 
 def _with_dark(pillars: PillarMap, table: ComplexArray) -> WrittenField:

@@ -6,7 +6,7 @@ neighbours has no effect. Steps of pi or more between neighbours are ambiguous: 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -24,17 +24,32 @@ from metafab.phase.terms.profile import PolarisedTerm
 #: A turn with its rounding errors, and the share of steps that may be longer: outlines of zones of several turns, or of
 #: an aperture with zeros around it, whose share is 2 over its samples a side.
 _LARGEST_STEP_RAD, _STEEP_SHARE = 2.0 * np.pi + 1e-3, 0.1
+#: Span from which two or more levels without slopes between them are no radians: 8 turns, of degrees (0, 180) or of a
+#: picture (0, 255). Zones of several turns stay below it.
+_WIDEST_LEVELS_RAD = 50.0
 #: Fewest samples across an aperture: a single one is no map, but a pitch in other units.
 _FEWEST_ACROSS = 2
 
 
 @dataclass(frozen=True)
 class SampledPhase(PolarisedTerm):
-    """The phase of a sampled complex field; beyond the outermost samples their values are held."""
+    """The phase of a sampled complex field; beyond the outermost samples their values are held.
+
+    Raises:
+        InputError: ``field`` is not complex, such as phases in place of their phasors, or has another shape.
+    """
 
     #: Shape (2, n_y, n_x) for x and y polarisation, or (1, n_y, n_x): then y is the point mirror of x.
-    field: ComplexArray
+    field: ComplexArray = field(repr=False)
     pitch_um: float  #: Distance of the samples; the grid is centred on the axis, lowest y first.
+
+    def __post_init__(self) -> None:
+        """Check type and shape of the samples."""
+        samples = np.asarray(self.field)
+        if samples.dtype.kind != "c" or samples.ndim != 3 or len(samples) not in {1, 2}:
+            expected, got = "a complex field of shape (2 or 1, n_y, n_x)", f"{samples.dtype} of shape {samples.shape}"
+            remedy = "numpy.exp(1j * phase_rad) is the field of phases; stack those of x and y polarisation"
+            raise InputError.single("phase", "field", expected, got, remedy)
 
     def _phase(self, x_um: FloatArray, y_um: FloatArray, polarisation: Polarisation) -> FloatArray:
         mirrored = len(self.field) == 1 and polarisation == "y"
@@ -88,10 +103,15 @@ def load_array(
 
 
 def _require_radians(file: Path, phase: NDArray[np.generic]) -> None:
-    """Refuse (InputError) values of which neighbours differ by more than a turn: degrees, levels, too few samples."""
-    steep = [np.abs(np.diff(phase.astype(np.float64), axis=axis)) > _LARGEST_STEP_RAD for axis in (-2, -1)]
-    share = sum(np.count_nonzero(each) for each in steep) / sum(each.size for each in steep)
-    if share > _STEEP_SHARE:
+    """Refuse (InputError) values of which neighbours differ by more than a turn: degrees, levels, too few samples.
+
+    So are levels of which all neighbours are equal or differ by more than a turn, over a span of many turns.
+    """
+    steps = [np.abs(np.diff(phase.astype(np.float64), axis=axis)) for axis in (-2, -1)]
+    steep, changed = (sum(np.count_nonzero(each > least) for each in steps) for least in (_LARGEST_STEP_RAD, 0.0))
+    share = steep / sum(each.size for each in steps)
+    are_levels = 0 < changed == steep and float(phase.max()) - float(phase.min()) > _WIDEST_LEVELS_RAD
+    if share > _STEEP_SHARE or are_levels:
         expected = "radians, in steps of less than half a turn from sample to sample (jumps of a turn aside)"
         values = f"values from {phase.min()} to {phase.max()}"
         got = f"steps of more than a turn at {100.0 * share:.3g} % of the samples, {values}"

@@ -94,12 +94,7 @@ def point_spread(
         remedy = "leave `inf` out of the depths: a position in mm is no direction there"
         raise InputError.single("psf", "object_mm", expected, f"{x_mm:g} {y_mm:g} mm at infinity", remedy)
     # On the axis, all depths lie in one direction and share one pass over the pillars.
-    numerics = optics.PsfNumerics(
-        window_px=window_px,
-        target_error=target_error,
-        filter_fwhm_nm=filter_fwhm_nm(job.design),
-        vectorial=verify.vectorial,
-    )
+    numerics = replace(optics.PsfNumerics.of(job.design), window_px=window_px, target_error=target_error)
     passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
     tangents = [tangent or (1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
     for depths, direction in zip(passes, tangents, strict=True):
@@ -150,7 +145,8 @@ def scene_pair(job: Job, lens: WrittenLens | None, scene: Scene) -> Psf:
 
     imaging = optics.Imaging.of(job.design)
     source, made_error = source_of(job, lens, tangents=[scene_reach(scene, imaging)])
-    numerics = replace(EXACT, filter_fwhm_nm=filter_fwhm_nm(job.design), vectorial=job.design.verify.vectorial)
+    of_design = optics.PsfNumerics.of(job.design)
+    numerics = replace(of_design, window_px=EXACT.window_px, target_error=EXACT.target_error)
     pair = camera.exact_psf(scene, source, imaging, numerics, work=Work(progress=job.work.progress))
     return _stating(pair, made_error)
 
@@ -179,11 +175,6 @@ def save_psf(job: Job, psf: Psf, lens: WrittenLens | None, path: Path) -> None:
     optics.save(psf, path, inputs_sha256=fingerprint(source, design.device, design.sensor, sampling))
 
 
-def filter_fwhm_nm(design: Design) -> float | None:
-    """Width of the colour filter in front of the sensor; None for one wavelength."""
-    return None if design.optics is None else design.optics.filter_fwhm_nm
-
-
 def _stating(psf: Psf, made_error: float) -> Psf:
     """The PSFs with the error of their pillars' amplitudes."""
     return replace(psf, details=replace(psf.details, made_error=made_error))
@@ -198,18 +189,8 @@ def _verified_psf(job: Job) -> Callable[..., Psf]:
     """PSF computation with the window and the target error of the design's ``[verify]``."""
     from metafab import optics
 
-    verify = job.design.verify
-    return partial(
-        optics.psf,
-        imaging=optics.Imaging.of(job.design),
-        numerics=optics.PsfNumerics(
-            window_px=verify.window_px,
-            target_error=_psf_error(job),
-            filter_fwhm_nm=filter_fwhm_nm(job.design),
-            vectorial=verify.vectorial,
-        ),
-        work=job.work,
-    )
+    numerics = replace(optics.PsfNumerics.of(job.design), target_error=_psf_error(job))
+    return partial(optics.psf, imaging=optics.Imaging.of(job.design), numerics=numerics, work=job.work)
 
 
 def pair_figures(job: Job, pair: Psf, light_at_um: Places | None = None) -> PairFigures:

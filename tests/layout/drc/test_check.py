@@ -175,7 +175,7 @@ def test_what_is_no_pillar_of_a_shaped_design_is_foreign(
         unit_cell=replace(tiny_design.unit_cell, cell=cell),
         device=replace(tiny_design.device, aperture_um=5.0),
     )
-    pillars = layout.assign(profile, smooth_library, design).pillars
+    pillars = layout.assign(profile, replace(smooth_library, unit_cell=design.unit_cell), design).pillars
     mask.write(pillars, tmp_path, design)
     path = tmp_path / "layout.oas"
     assert drc.check(path, design, engine="polygons", work=Work(1)).violations["foreign"] == 0

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from metafab import layout
+from metafab.core.errors import InputError
 from metafab.layout.mapping import LightTarget
 from metafab.library import Library
 from metafab.phase.terms.profile import PhaseProfile
@@ -62,7 +63,8 @@ def test_a_mask_for_two_wavelengths_serves_both_better_than_lenses_for_one(
     shared = [light.figures.efficiency for light in both.lights]
     assert min(shared) > 0.35
     for number, target in enumerate(targets):
-        alone = layout.assign(target.profile, target.library, replace(design, light=()))
+        own = replace(design, light=(), unit_cell=target.library.unit_cell)
+        alone = layout.assign(target.profile, target.library, own)
         other = targets[1 - number]
         sizes = alone.pillars.to_array()
         width_nm, length_nm = alone.pillars.size_nm()[1:].T
@@ -90,3 +92,19 @@ def test_sizes_for_two_wavelengths_do_not_depend_on_tiles(
     )
     assert np.array_equal(sizes_at_sites(tiled.pillars), sizes_at_sites(whole.pillars))
     assert tiled.lights[0].figures.efficiency == pytest.approx(whole.lights[0].figures.efficiency, rel=1e-9)
+
+
+def test_libraries_and_lights_of_another_design_are_refused(
+    profile: PhaseProfile, first: Library, second: Library, design: Design, targets: list[LightTarget]
+) -> None:
+    """From Python, library and design come apart: a mapping at another wavelength or period would look like any."""
+    wider = replace(first.unit_cell, cell=replace(first.unit_cell.cell, period_nm=(400.0, 400.0)))
+    plain = replace(design, light=())
+    for library, key in ((second, "illumination"), (replace(first, unit_cell=wider), "period_nm")):
+        with pytest.raises(InputError, match=rf"`library.unit_cell.*{key}`: expected that of the design"):
+            layout.assign(profile, library, plain)
+    for lights in ([], targets[:1], [*targets, targets[0]]):
+        with pytest.raises(InputError, match=rf"`lights`: expected 2, as many as the design has, got {len(lights)}"):
+            layout.assign(profile, first, design, lights=lights)
+    with pytest.raises(InputError, match=r"`lights\[0\].library.unit_cell.illumination`"):
+        layout.assign(profile, first, design, lights=targets[::-1])

@@ -49,6 +49,15 @@ def test_read_back_is_exact(suffix: str, tiny: Assignment, tiny_design: Design, 
     assert read_back.database_unit_nm == 0.5
 
 
+def test_paths_may_be_texts(tiny: Assignment, tiny_design: Design, tmp_path: Path) -> None:
+    file, *_ = mask.write(tiny.pillars, str(tmp_path), tiny_design)
+    read_back = mask.read(str(file.path), tiny_design)
+    assert np.array_equal(sizes_at_sites(read_back.pillars), sizes_at_sites(tiny.pillars))
+    assert drc.check(str(file.path), tiny_design).pillars == tiny.figures.pillars
+    # In a console it states its counts, not its arrays.
+    assert repr(read_back).startswith(f"ReadBack(file: {file.path.name}, pillars: {tiny.figures.pillars}, off site: 0,")
+
+
 def test_windows_that_are_used_again_change_nothing(
     tiny: Assignment, tiny_design: Design, tiny_files: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from metafab import comparison
 from metafab.core.errors import InputError
-from metafab.spec import Design
+from metafab.spec import Design, Optics
 from metafab.spec.terms import Lens
 
 
@@ -41,6 +41,21 @@ def test_a_helix_pair_measures_depth_where_a_lens_in_focus_does_not(design: Desi
     np.testing.assert_allclose(back.error, result.error, rtol=1e-12)
     (tmp_path / "comparison.json").write_text("{}")
     assert comparison.load_comparison(tmp_path / "comparison.json") is None
+
+
+def test_stop_and_filter_of_the_design_count(design: Design) -> None:
+    """A stop of half the aperture doubles the width of the standard lens's focus; a wide filter smears it."""
+    depth_m = np.array([0.0029, 0.0031])
+    plain, *others = (
+        comparison.rivals(dataclasses.replace(design, optics=optics), depth_m)[1].truth.psf.psf[0, 0]
+        for optics in (None, Optics(stop_um=50.0), Optics(filter_fwhm_nm=40.0))
+    )
+    stopped, smeared = others
+    # Sums are powers: a quarter of the light, at a sixteenth of the peak.
+    assert stopped.sum() / plain.sum() == pytest.approx(0.25, rel=0.05)
+    assert stopped.max() / plain.max() == pytest.approx(1.0 / 16.0, rel=0.2)
+    assert smeared.sum() == pytest.approx(plain.sum(), rel=0.02)
+    assert smeared.max() < 0.97 * plain.max()
 
 
 def test_a_plain_lens_has_nothing_to_compare(design: Design) -> None:

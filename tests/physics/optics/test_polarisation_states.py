@@ -101,8 +101,9 @@ def test_written_pillars_transmit_no_more_than_the_library(lens: Callable[[], De
     design = lens()
     design = dataclasses.replace(design, device=dataclasses.replace(design.device, aperture_um=30.0))
     target = JonesTarget.of(design, ROW_ANGLE_DEG)
-    pillars = assign_turned(target, smooth_library, design, angles=8, size_step_nm=16.0).pillars
-    source = written_field(pillars, smooth_library)
+    library = dataclasses.replace(smooth_library, unit_cell=design.unit_cell)
+    pillars = assign_turned(target, library, design, angles=8, size_step_nm=16.0).pillars
+    source = written_field(pillars, library)
     psf = stokes_psf(source, target, Imaging.of(design), [0.003], window_px=64)
     largest = float(np.sum(np.abs(source.table) ** 2 * [1.0, 2.0, 1.0], axis=1).max()) / 2.0
     # The efficiency of perfect pillars, 0.27, times the overlap of real ones, about 0.7, bounds it from below.

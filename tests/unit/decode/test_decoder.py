@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from metafab.camera import RawFrame, capture
+from metafab.core.errors import InputError
 from metafab.decode import Image4D, decode
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
@@ -52,6 +53,12 @@ def test_hopeless_frames_claim_nothing(psf: Psf, values: np.ndarray) -> None:
     image = decode(frame, psf)
     assert claims(image) == 0
     assert image.figures.reason
+    assert image.figures.reason in repr(image)
+
+
+def test_an_array_is_no_frame(psf: Psf, good: RawFrame) -> None:
+    with pytest.raises(InputError, match=r"`frame`: expected a RawFrame, .*got ndarray"):
+        decode(good.frame, psf)  # type: ignore[arg-type]
 
 
 def test_pure_noise_claims_nothing(psf: Psf) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.optics import Imaging, PsfNumerics, psf
+from metafab.spec import Design, Optics
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging(aperture_um=40.0)
@@ -66,3 +67,15 @@ def test_coarser_pixels_are_refused_with_limit_and_remedy() -> None:
     coarse: Imaging = replace(OPTICS, pixel_um=12.0)
     with pytest.raises(InputError, match=r"`pixel_um`: expected below 9\.01 um.*got 12 um; sample finer"):
         psf(SOURCE, coarse, [0.9e-3], PsfNumerics(window_px=32))
+
+
+def test_numerics_of_a_design_are_those_of_its_file(small_design: Design) -> None:
+    verify = replace(small_design.verify, window_px=48, target_error=2e-3, vectorial=True)
+    design = replace(small_design, verify=verify, optics=Optics(filter_fwhm_nm=5.0))
+    assert PsfNumerics.of(design) == PsfNumerics(window_px=48, target_error=2e-3, filter_fwhm_nm=5.0, vectorial=True)
+    assert PsfNumerics.of(replace(design, optics=None)).filter_fwhm_nm is None
+
+
+def test_one_depth_in_place_of_a_sequence_is_refused_by_name() -> None:
+    with pytest.raises(InputError, match=r"`depths_m`: expected a sequence of depths, such as \[0.0009\], got 0.0009"):
+        psf(SOURCE, OPTICS, 0.9e-3)  # type: ignore[arg-type]

@@ -6,13 +6,14 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from metafab.core.errors import InputError
 from metafab.spec import Sensor, UnitCell, load_design, load_unit_cell, make_design, make_unit_cell
 from metafab.spec.cell import CellGeometry, CellMaterials, Illumination, Material
 from metafab.spec.device import Device
-from metafab.spec.terms import SpiralZones, SplitLens
+from metafab.spec.terms import Lens, SpiralZones, SplitLens
 
 ROOT = Path(__file__).parents[3]
 
@@ -98,3 +99,27 @@ def test_specs_are_dataclasses_with_units_in_their_names() -> None:
         sweep=paper_cell().sweep,
     )
     assert cell.cell.height_nm == 600.0
+
+
+def test_whole_numbers_of_numpy_are_whole_numbers() -> None:
+    design = make_design(
+        paper_cell(), aperture_um=np.int64(100), focal_length_mm=1, phase=[Lens()], pixel_um=2.4, focus_depth_m=0.003,
+        window_px=np.arange(40, 80, 8)[1],
+    )  # fmt: skip
+    assert (design.device.aperture_um, design.verify.window_px) == (100.0, 48)
+
+
+def test_single_values_in_place_of_sequences_are_refused_by_name() -> None:
+    make = partial(make_design, paper_cell(), aperture_um=100, focal_length_mm=1, pixel_um=2.4, focus_depth_m=0.003)
+    for key, single in (("phase", Lens()), ("depths_m", 0.003), ("formats", "gds")):
+        with pytest.raises(InputError, match=rf"`\w*\.?{key}`: expected a list, in square brackets, got"):
+            make(**{"phase": [Lens()], key: single})
+    with pytest.raises(InputError, match=r"`materials.pillar`: expected a table, got None"):
+        make_unit_cell(
+            period_nm=350,
+            height_nm=600,
+            pillar=None,
+            substrate=1.76,
+            wavelength_nm=800,
+            sizes_nm=(100, 250),  # type: ignore[arg-type]
+        )

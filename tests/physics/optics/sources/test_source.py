@@ -13,9 +13,10 @@ from scipy.special import j1
 
 from benchmarks.optics.direct_sum import direct_irradiance
 from metafab.core.errors import InputError
-from metafab.layout.pillars import Lattice
+from metafab.layout.pillars import Lattice, PillarMap
+from metafab.library import Library
 from metafab.optics import Apodisation, Imaging, PsfNumerics, apodised, ideal_field, psf, relative_l2
-from metafab.optics.sources.source import IdealField
+from metafab.optics.sources.source import IdealField, written_field
 from metafab.phase.terms.profile import PhaseProfile
 from metafab.spec import Design, Device, load_design
 from metafab.spec.device import Optics
@@ -208,3 +209,22 @@ def _file(folder: Path, keys: str) -> Path:
     path = folder / "design.toml"
     path.write_text(f"{text}\n[optics]\n{keys}\n", encoding="utf-8")
     return path
+
+
+@pytest.mark.parametrize("is_hexagonal", [False, True])
+def test_a_library_of_another_period_is_refused(smooth_library: Library, is_hexagonal: bool) -> None:
+    """Its amplitudes would be those of other pillars. The sites of a hexagonal lattice lie half a period apart."""
+    cell = smooth_library.unit_cell.cell
+    x_dbu, y_dbu = (350, 606) if is_hexagonal else (700, 700)
+    lattice = Lattice(period_dbu=(x_dbu, y_dbu), shape=(3, 3), database_unit_nm=0.5, hexagonal=is_hexagonal)
+    pillars = PillarMap.from_array(lattice, np.array([[0, 0], [240, 300]]), np.ones((3, 3), dtype=np.uint16), 3)
+    for period_nm, is_own in (((350.0, 303.0 if is_hexagonal else 350.0), True), ((400.0, 346.0), False)):
+        shape = replace(cell, lattice="hexagonal" if is_hexagonal else None, period_nm=period_nm)
+        library = replace(smooth_library, unit_cell=replace(smooth_library.unit_cell, cell=shape))
+        if is_own:
+            assert written_field(pillars, library).table.shape == (2, 2)
+        else:
+            with pytest.raises(
+                InputError, match=r"`period_nm`: expected that of the pillars, 350 x .* got 400 x 346 nm"
+            ):
+                written_field(pillars, library)

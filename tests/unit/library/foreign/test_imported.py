@@ -231,3 +231,19 @@ def test_a_coarse_sweep_serves_at_its_own_sizes_alone(cell: UnitCell, tmp_path: 
     t = 0.9 * np.exp(1.75j * np.arange(diameter.size))
     _rows(path, "diameter_nm,t_re,t_im", diameter, t.real, t.imag)
     assert 0.5 < np.nanmedian(import_sweep(path, circles, quantity="field").error_of_sizes) < 2.0
+
+
+def test_a_transmittance_is_no_amplitude(cell: UnitCell, tmp_path: Path) -> None:
+    """The letter T: beside an amplitude it is left out; in its place, or as a real `t`, it would have no phase."""
+    circles = replace(cell, cell=replace(cell.cell, shape="circle"))
+    t = _t(SIZES_NM, SIZES_NM)
+    power = np.abs(t / RATIO) ** 2
+    path = _rows(tmp_path / "a.csv", "diameter_nm,t_re,t_im,T", SIZES_NM, t.real, t.imag, power)
+    assert abs(import_sweep(path, circles, quantity="field").t_xx[0, 0, 0] - t[0]) < 1e-9
+    for header, message in (
+        ("diameter_nm,T,phase", "columns`: expected an amplitude `t`, .*got the columns diameter_nm, T, phase"),
+        ("diameter_nm,t,phase", "t`: expected complex numbers, .*got real ones, which have no phase; name its parts"),
+    ):
+        path = _rows(tmp_path / "b.csv", header, SIZES_NM, power, np.angle(t))
+        with pytest.raises(InputError, match=message):
+            import_sweep(path, circles, quantity="power")

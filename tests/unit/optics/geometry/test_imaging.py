@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from metafab.core.errors import InputError
 from metafab.optics import Imaging, depth_nodes, field_tangents
 from metafab.optics.geometry.imaging import field_corner
 from metafab.spec import Design, load_design
+from metafab.spec.terms import UserArray
 from tests.main_job import ROOT
 
 
@@ -63,6 +65,16 @@ def test_light_that_cannot_leave_is_refused() -> None:
             pixel_um=2.4,
             aperture_um=200.0,
         ).image_point_um(0, (1.0, 0.0))
+
+
+@pytest.mark.parametrize("azimuth", [0, 1])
+def test_the_window_of_a_binary_splitter_lies_on_the_axis(small_design: Design, tmp_path: Path, azimuth: int) -> None:
+    """Its steps of half a turn point both ways, so that the mean slope is 0: the beams lie on both sides."""
+    bars = np.broadcast_to(np.pi * (np.arange(700) // 5 % 2), (700, 700))
+    np.save(tmp_path / "bars.npy", bars if azimuth == 0 else bars.T)
+    splitter = replace(small_design, phase=(UserArray(file=tmp_path / "bars.npy", pitch_um=0.35),))
+    for x, y in Imaging.of(splitter).deflection:
+        assert (x, y) == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
 def test_a_focus_inside_the_focal_length_is_refused(small_design: Design) -> None:

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from metafab.core.conventions import POLARISATIONS, wrap_phase
+from metafab.core.errors import InputError
 from metafab.phase import (
     AxiconPhase,
     DoubleHelixPhase,
@@ -112,3 +113,46 @@ def test_a_profile_adds_its_terms() -> None:
     np.testing.assert_allclose(
         phase[1] - spiral, GratingPhase(wavelength_um=0.8, angle_deg=3.0)(X_UM, Y_UM, "y"), atol=1e-12
     )
+
+
+def _transposed(x_um: np.ndarray, y_um: np.ndarray, polarisation: str) -> np.ndarray:
+    x, y = np.meshgrid(x_um, y_um, indexing="ij")
+    return np.asarray(x**2 + y)
+
+
+def test_terms_of_another_shape_are_refused_before_they_draw_a_turned_lens() -> None:
+    """On square tiles an exchange of the axes would pass unseen. What broadcasts, as a function of x alone, serves."""
+    assert PhaseProfile((lambda x, y, p: x,))(X_UM, Y_UM).shape == (2, Y_UM.size, X_UM.size)
+    for term, got in (
+        (_transposed, r"float64 of shape \(3, 2\)"),
+        (lambda x, y, p: y, r"float64 of shape \(2,\)"),
+        (lambda x, y, p: np.exp(1j * x), r"complex128 of shape \(3,\)"),
+    ):
+        with pytest.raises(InputError, match=rf"`terms\[1\]`: expected real radians of shape \(n_y, n_x\).*got {got}"):
+            PhaseProfile((VortexPhase(charge=1), term))
+    with pytest.raises(InputError, match=r"`terms`: expected a sequence of terms, got one VortexPhase"):
+        PhaseProfile(VortexPhase(charge=1))  # type: ignore[arg-type]
+
+
+def test_phases_in_place_of_a_field_are_refused() -> None:
+    """Their angles would be 0 and pi."""
+    for samples in (np.ones((2, 5, 5)), np.ones((5, 5), dtype=complex), np.ones((3, 5, 5), dtype=complex)):
+        with pytest.raises(
+            InputError, match=r"`field`: expected a complex field of shape .*numpy.exp\(1j \* phase_rad\)"
+        ):
+            SampledPhase(samples, 1.0)
+
+
+def test_phases_that_are_not_finite_are_refused() -> None:
+    """As the root of a sphere's sagitta is beyond its radius: one such place spoils the figures of a whole layout."""
+
+    def sagitta(x_um: np.ndarray, y_um: np.ndarray, polarisation: str) -> np.ndarray:
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.sqrt(4.0 - x_um**2 - y_um[:, None] ** 2))
+
+    sphere = PhaseProfile((sagitta,))
+    assert sphere(np.ones(2), np.ones(2)).max() == np.sqrt(2.0)
+    with pytest.raises(
+        InputError, match=r"`terms`: expected finite radians .*got NaN or infinity at 2 of 12; .*nan_to_num"
+    ):
+        sphere(np.array([0.0, 1.0, 1.9]), np.array([0.0, 1.0]))

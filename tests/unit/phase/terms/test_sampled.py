@@ -62,6 +62,18 @@ def test_degrees_and_levels_of_pictures_are_no_radians(tmp_path: Path) -> None:
             load_array(tmp_path / f"{name}.npy", 1.0, "phase_rad", 30.0)
 
 
+def test_two_levels_in_degrees_or_of_a_picture_are_no_radians(tmp_path: Path) -> None:
+    """Of wide bars few steps are steep, but all that there are."""
+    bars = np.broadcast_to(np.arange(64) // 16 % 2, (64, 64))
+    for name, values in (("radians", np.pi * bars), ("turns", 20.0 * bars), ("even", np.full((64, 64), 90.0))):
+        np.save(tmp_path / f"{name}.npy", values)
+        load_array(tmp_path / f"{name}.npy", 1.0, "phase_rad", 30.0)
+    for name, values in (("degrees", 180.0 * bars), ("levels", np.uint8(255 * bars))):
+        np.save(tmp_path / f"{name}.npy", values)
+        with pytest.raises(InputError, match=rf"`{name}.npy`: expected radians"):
+            load_array(tmp_path / f"{name}.npy", 1.0, "phase_rad", 30.0)
+
+
 def test_a_pitch_of_which_less_than_two_samples_lie_across_the_aperture_is_refused(tmp_path: Path) -> None:
     """500 nm given as micrometres: one sample over the whole lens."""
     np.save(tmp_path / "map.npy", np.zeros((80, 80)))

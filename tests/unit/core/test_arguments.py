@@ -1,0 +1,59 @@
+"""Arguments that are no fault of a number but of a kind: a result for its part, two of them exchanged."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from metafab import camera, decode, layout, mask, optics, phase
+from metafab.core.arguments import require_types
+from metafab.core.errors import InputError
+from metafab.layout import Assignment
+from metafab.library import Library
+from metafab.spec import Design, Scene, SceneObject
+from tests.closed_form_run import turning_psf
+
+
+def test_all_wrong_arguments_are_reported_at_once() -> None:
+    require_types("f", a=(1, int), b=("x", str))
+    with pytest.raises(InputError) as refused:
+        require_types("f", a=("x", int), b=("x", str), c=(1.0, str))
+    assert str(refused.value) == "f:\n  `a`: expected int, got str\n  `c`: expected str, got float"
+
+
+@pytest.fixture(scope="module")
+def design(small_design: Design) -> Design:
+    return replace(small_design, device=replace(small_design.device, aperture_um=5.0))
+
+
+@pytest.fixture(scope="module")
+def mapped(design: Design, smooth_library: Library) -> Assignment:
+    return layout.assign(phase.PhaseProfile(()), smooth_library, design)
+
+
+def test_a_result_in_place_of_its_part_names_the_part(
+    mapped: Assignment, design: Design, smooth_library: Library, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="`pillars`: expected PillarMap, got Assignment; give its `pillars`"):
+        optics.written_field(mapped, smooth_library)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="`pillars`: expected PillarMap, got Assignment; give its `pillars`"):
+        mask.write(mapped, tmp_path, design)  # type: ignore[arg-type]
+    read_back = mask.read(mask.write(mapped.pillars, tmp_path, design)[0].path, design)
+    with pytest.raises(InputError, match="`pillars`: expected PillarMap, got ReadBack; give its `pillars`"):
+        optics.written_field(read_back, smooth_library)  # type: ignore[arg-type]
+    light = optics.written_field(read_back.pillars, smooth_library)
+    with pytest.raises(InputError, match=r"`imaging`: expected Imaging, got Design; `Imaging\.of` makes one"):
+        optics.psf(light, design, [0.003])  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"`source`: expected light, .* got PillarMap; `written_field` gives that of"):
+        optics.psf(mapped.pillars, optics.Imaging.of(design), [0.003])  # type: ignore[arg-type]
+
+
+def test_exchanged_arguments_are_named(design: Design, smooth_library: Library) -> None:
+    with pytest.raises(InputError, match="`library`: expected Library, got PhaseProfile"):
+        layout.assign(smooth_library, phase.PhaseProfile(()), design)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="`scene`: expected Scene, got Psf\n  `psf`: expected Psf, got Scene"):
+        camera.capture(turning_psf(), Scene(objects=(SceneObject(depth_m=0.003),)))  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="`frame`: expected a RawFrame"):
+        decode.decode(turning_psf(), turning_psf())  # type: ignore[arg-type]
