@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from metafab.cell.rcwa.basis.coordinates import Matrix
-from metafab.cell.rcwa.scattering.doubling import Doubling, DoublingSteps, lambert_coefficients
+from metafab.cell.rcwa.scattering.doubling import Doubling, DoublingSteps, cotangent_terms
 
 
 def pull_back_doubled(layer: Doubling, left: Matrix, right: Matrix) -> Matrix:
@@ -77,7 +77,7 @@ def _pull_back_thin_slab(steps: DoublingSteps, left: Matrix, right: Matrix, more
     right_powers = np.concatenate([right_powers[None], steps.powers[:3] @ right_powers])
     # Rows: the power of A to the left of dA; columns: that to the right.
     power = 1 + np.add.outer(np.arange(4), np.arange(4))
-    of_n, of_d = (np.where(power < 5, each[np.minimum(power, 4)], 0.0) for each in lambert_coefficients(steps.thin_k0))
+    of_n, of_d = (np.where(power < 5, each[np.minimum(power, 4)], 0.0) for each in cotangent_terms(steps.thin_k0))
     mixed = np.tensordot(
         np.hstack([of_n, -of_d]), np.concatenate([right_powers[..., :rank], right_powers[..., rank:]]), axes=1
     )

@@ -91,9 +91,10 @@ def test_slopes_of_a_certified_solution_are_those_of_its_finest_truncation(sizes
     solved = solve(cell, CellNumerics(slopes=True))
     d_t, d_r = (each[:2].diagonal(axis1=1, axis2=2) for each in _by_size(cell, solved))
     assert solved.slopes is not None
-    np.testing.assert_allclose(solved.slopes, np.hstack([d_t, d_r]), rtol=1e-9)
+    # Slopes, the least a sixtieth of the largest one, with the rounding of a thin slab whose modes reach 28 i.
+    np.testing.assert_allclose(solved.slopes, np.hstack([d_t, d_r]), rtol=1e-8)
     exchanged = solve(replace(cell, width_nm=sizes_nm[1], length_nm=sizes_nm[0]), CellNumerics(slopes=True))
-    np.testing.assert_allclose(exchanged.slopes, solved.exchanged().slopes, rtol=1e-9)
+    np.testing.assert_allclose(exchanged.slopes, solved.exchanged().slopes, rtol=1e-8)
 
 
 def _by_size(cell: PillarCell, solved: CellResponse) -> tuple[ComplexArray, ComplexArray]:

@@ -14,7 +14,7 @@ from metafab.cell.rcwa.convergence import convergence
 from tests.paper_cell import SILICON
 
 
-def test_seven_cosines_are_tried_only_where_nothing_was_measured() -> None:
+def test_seven_cosines_are_skipped_where_claims_were_measured() -> None:
     """Pillars that six cosines did not serve go on to eight, unless seven are all that may be had."""
     measured, other = convergence(SILICON), convergence(replace(SILICON, angle_deg=10.0))
     assert measured.is_measured and not other.is_measured
@@ -28,6 +28,15 @@ def test_seven_cosines_are_tried_only_where_nothing_was_measured() -> None:
         6,
     )
     assert ladder(CellNumerics(target_error=1e-3, max_orders=7), measured) == (4, 6, 7)
+
+
+def test_seven_cosines_are_tried_where_pillars_stand_close() -> None:
+    """Their claims have a margin that grows with the size, so that eight would often be more than they need."""
+    near, close = convergence(replace(SILICON, width_nm=230.0)), convergence(replace(SILICON, width_nm=250.0))
+    assert near.claims_margin == 1.0
+    assert close.is_measured and close.claims_margin == pytest.approx(1.0 + 24.0 * (250.0 / 350.0 - 0.66))
+    for target_error in (1e-2, 1e-3):
+        assert ladder(CellNumerics(target_error=target_error), close)[:4] == (4, 6, 7, 8)
 
 
 def test_waves_in_a_dense_cap_must_be_resolved() -> None:
