@@ -13,6 +13,7 @@ from metafab.cell.pillar import PillarCell, Slice
 from metafab.cell.rcwa.jones import ZeroOrder
 from metafab.cell.response import CellNumerics, CellResponse
 from metafab.cell.validation import check, check_numerics
+from metafab.core.arguments import require_types
 from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.executor import default_workers, open_executor, stream
 from metafab.core.parallel.processes import can_fork
@@ -34,9 +35,12 @@ def pillar_cell(
 
     Width (along x) and length (along y) are 0 to the period. ``angle_deg`` is the polar angle in the medium of
     incidence, 0 to < 90; ``azimuth_deg`` that of the plane of incidence, counter-clockwise from +x. InputError if one
-    is out of range, or a material is not known at the wavelength.
+    is out of range, a circle has two sizes, or a material is not known at the wavelength.
     """
     spec, materials = unit_cell.cell, unit_cell.materials
+    if spec.shape == "circle" and width_nm != length_nm:
+        remedy = 'give one size, or `shape = "ellipse"` in the unit cell'
+        raise InputError.single("cell", "length_nm", f"{width_nm:g}, the circle's width", f"{length_nm:g}", remedy)
     wavelength = unit_cell.illumination.wavelength_nm if wavelength_nm is None else wavelength_nm
     n_ambient = _isotropic_index(materials.ambient, wavelength, "materials.ambient")
     films = [(each.height_nm, _isotropic_index(each.material, wavelength, "cell.film")) for each in spec.film or ()]
@@ -84,10 +88,15 @@ def solve(
     read and extended: for calls of several targets.
 
     Raises:
-        InputError: the cell is unphysical, the numerics are out of range, or the solver does not treat the cell.
+        InputError: an argument is of another type, the cell is unphysical, the numerics are out of range, or the solver
+            does not treat the cell.
         MissingToolError: Meep is asked for and not installed.
         SolverError: the solver failed.
     """
+    if isinstance(cell, UnitCell):
+        remedy = "`pillar_cell` makes one of a unit cell and two sizes"
+        raise InputError.single("cell", "cell", "a PillarCell", "UnitCell", remedy)
+    require_types("cell", cell=(cell, PillarCell), numerics=(numerics, CellNumerics))
     check(cell)
     check_numerics(numerics)
     faults = curved.untreated(cell)

@@ -11,6 +11,7 @@ from pathlib import Path
 import h5py
 
 from metafab.cell import CellSolver, solve
+from metafab.core.arguments import require_types
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library import store
 from metafab.library.library import Library
@@ -21,7 +22,7 @@ from metafab.spec import UnitCell
 
 def build_file(
     unit_cell: UnitCell,
-    path: Path,
+    path: Path | str,
     *,
     target_error: float | None = None,
     executor: Executor | None = None,
@@ -45,7 +46,8 @@ def build_file(
         solver: solves one unit cell; must be importable by the workers.
         every_size: solve every distinct size of the grid, none by a model.
     """
-    unit_cell = with_target(unit_cell, target_error)
+    require_types("library", unit_cell=(unit_cell, UnitCell))
+    unit_cell, path = with_target(unit_cell, target_error), Path(path)
     asked = unit_cell.neighbours is not None
     kept = store.is_current(path, unit_cell) and (asked or not is_current(path, unit_cell))
     if kept:

@@ -13,6 +13,7 @@ from typing import TypeVar
 import h5py
 import numpy as np
 
+from metafab.core.arguments import require_types
 from metafab.core.conventions import ComplexArray
 from metafab.core.errors import InputError
 from metafab.core.figures import BuildStatistics, CornerStatistics
@@ -46,11 +47,13 @@ _AMPLITUDES = {
 _DETAIL, _CORNER_DETAIL = "detail_", "detail_corner_"
 
 
-def save(library: Library, path: Path) -> None:
+def save(library: Library, path: Path | str) -> None:
     """Write a library atomically; an earlier file of that name is replaced.
 
-    Equal builds give equal bytes, on any machine. A corner of another library raises InputError.
+    Equal builds give equal bytes, on any machine. What is no library, and a corner of another one, raise InputError.
     """
+    require_types("library", library=(library, Library))
+    path = Path(path)
     if library.corner:
         corner = ", ".join(f"{name} = {value:g}" for name, value in library.corner.items())
         remedy = "save the library from which `at` returned this corner"

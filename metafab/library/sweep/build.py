@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from metafab.cell import CellNumerics, CellSolver, solve
+from metafab.core.arguments import require_types
 from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.core.figures import BuildStatistics
 from metafab.core.parallel.executor import SerialExecutor, one_blas_thread
@@ -78,6 +79,7 @@ def build(
             not removed at the end. One of another build raises InputError.
         solver: solves one unit cell; must be importable by the workers.
     """
+    require_types("library", unit_cell=(unit_cell, UnitCell))
     unit_cell = with_target(unit_cell, target_error)
     with Checkpoint(checkpoint, inputs_of(unit_cell)) as record:
         return _build(unit_cell, record, executor or SerialExecutor(), progress, solver, numerics)

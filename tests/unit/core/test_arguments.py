@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from metafab import camera, decode, layout, mask, optics, phase
+from metafab import camera, decode, layout, library, mask, optics, phase
 from metafab.core.arguments import require_types
 from metafab.core.errors import InputError
 from metafab.layout import Assignment
@@ -57,3 +57,11 @@ def test_exchanged_arguments_are_named(design: Design, smooth_library: Library) 
         camera.capture(turning_psf(), Scene(objects=(SceneObject(depth_m=0.003),)))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="`frame`: expected a RawFrame"):
         decode.decode(turning_psf(), turning_psf())  # type: ignore[arg-type]
+
+
+def test_a_library_is_built_of_a_unit_cell_alone(design: Design, tmp_path: Path) -> None:
+    for build in (library.build, lambda one: library.build_file(one, tmp_path / "lib.h5")):
+        with pytest.raises(InputError, match="`unit_cell`: expected UnitCell, got Design"):
+            build(design)
+    with pytest.raises(InputError, match="`library`: expected Library, got Design"):
+        library.save(design, tmp_path / "lib.h5")  # type: ignore[arg-type]
