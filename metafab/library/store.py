@@ -46,11 +46,12 @@ _AMPLITUDES = {
 _DETAIL, _CORNER_DETAIL = "detail_", "detail_corner_"
 
 
-def save(library: Library, path: Path) -> None:
+def save(library: Library, path: Path | str) -> None:
     """Write a library atomically; an earlier file of that name is replaced.
 
     Equal builds give equal bytes, on any machine. A corner of another library raises InputError.
     """
+    path = Path(path)
     if library.corner:
         corner = ", ".join(f"{name} = {value:g}" for name, value in library.corner.items())
         remedy = "save the library from which `at` returned this corner"
