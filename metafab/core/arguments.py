@@ -1,7 +1,8 @@
-"""Arguments of a wrong type, refused in words: a result in place of one of its parts, or two arguments exchanged."""
+"""Arguments of a wrong type, refused in words: a result in place of its part, two exchanged, one for several."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -27,10 +28,15 @@ def require_types(function: str, **arguments: tuple[Any, type]) -> None:
         raise InputError(function, faults)
 
 
+def is_several(value: Any) -> bool:
+    """Whether a value holds several: any iterable but a text, a mapping and an array without axes."""
+    return isinstance(value, Iterable) and not isinstance(value, str | Mapping) and getattr(value, "ndim", 1) > 0
+
+
 def _remedy(value: Any, kind: type) -> str:
     """Advice how to come from a value to one of a type."""
     names = [item.name for item in fields(value)] if is_dataclass(value) else []
-    if name := next((name for name in names if isinstance(getattr(value, name), kind)), None):
+    if name := next((name for name in names if isinstance(getattr(value, name, None), kind)), None):
         return f"give its `{name}`"
     return (
         f"`{kind.__name__}.of` makes one of a design"

@@ -258,7 +258,9 @@ def _geometry_faults(
         yield Fault("distance_mm", f"a number from {_LEAST_DISTANCE_MM:g} to {LARGEST:g}", f"{distance_mm:g}")
     if split_lens and (split_um is None or distance_mm is None or split_um[1] != 0.0 or split_um[0] == 0.0):
         expected = "the distance of the sensor and a split along x alone, from which the distortion follows"
-        yield Fault("split_lens", expected, f"{distance_mm} mm and {split_um} um")
+        distance = "no distance" if distance_mm is None else f"{distance_mm:g} mm"
+        split = "no split" if split_um is None else f"{split_um[0]:g} {split_um[1]:g} um"
+        yield Fault("split_lens", expected, f"{distance} and {split}")
 
 
 def _listed(depth_m: FloatArray) -> str:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from metafab.core.arguments import require_types
+from metafab.core.arguments import is_several, require_types
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.executor import one_blas_thread
@@ -65,10 +65,11 @@ def psf(
     """
     begun = time.perf_counter()
     require_types("optics", imaging=(imaging, Imaging), numerics=(numerics, PsfNumerics))
-    if isinstance(source, PillarMap):
-        expected, remedy = "light, such as a WrittenField", "`written_field` gives that of pillars and their library"
-        raise InputError.single("optics", "source", expected, "PillarMap", remedy)
-    if np.ndim(depths_m) != 1:
+    if isinstance(source, PillarMap) or not hasattr(source, "lattice"):
+        expected = "light, such as a WrittenField or an IdealField"
+        remedy = "`written_field` gives that of pillars and their library, `ideal_field` that of target phases"
+        raise InputError.single("optics", "source", expected, type(source).__name__, remedy)
+    if not is_several(depths_m) or np.ndim(depths_m) > 1:
         expected = f"a sequence of depths, such as [{depths_m}]"
         raise InputError.single("optics", "depths_m", expected, f"{depths_m}")
     depths = [float(z) for z in depths_m]

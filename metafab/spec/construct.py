@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from metafab.core.arguments import is_several
 from metafab.core.conventions import Side
 from metafab.spec.cell import UnitCell
 from metafab.spec.design import Design
@@ -118,8 +119,8 @@ def _material(value: complex | str) -> str | dict[str, float]:
 
 
 def _as_tuple(values: Any) -> Any:
-    """Tuple of a sequence or an array; a text or a single value as it is, for :func:`validate` to refuse."""
-    return tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else values
+    """Tuple of several values; a text, a table or a single value as it is, for :func:`validate` to refuse."""
+    return tuple(values) if is_several(values) else values
 
 
 #: Keys whose values are integers.

@@ -25,10 +25,11 @@ unresolved            under 1.5 a wavelength, 2.5  1
 
 Claims were measured on 173 pillars of four materials, resonances among them, against references of 13 and 14 cosines,
 with a margin of 1.4 over the worst pillar; 195 random cells of the measured kind then raised the shares of 8 and 10
-cosines, and let floors grow with k0 times the height. A rung may have several claims, a low floor with a large share or
-the other way round; each holds, so that the least is the bound. The factors of other cells were chosen on 3334 random
-ones of all kinds (``metafab benchmark certificates``). What a cell's errors depend on before it is solved, g among it,
-is in :mod:`metafab.cell.rcwa.convergence`.
+cosines, and let floors grow with k0 times the height. On 625 more, 6 cosines agreed with 5, or 9 with 8, by accident,
+and erred up to 6.9 times the claim: these claims also take a share of the difference to 3 or to 6. A rung may have
+several claims, a low floor with a large share or the other way round; each holds, so that the least is the bound. The
+factors of other cells were chosen on 3334 random ones of all kinds (``metafab benchmark certificates``). What a cell's
+errors depend on before it is solved, g among it, is in :mod:`metafab.cell.rcwa.convergence`.
 
 The error of a sloped pillar's steps is added (:mod:`metafab.cell.rcwa.slicing`), and no bound is below the rounding of
 ill-conditioned modes (:mod:`metafab.cell.rcwa.scattering.modes`).
@@ -118,8 +119,7 @@ _CLAIMS: dict[Formulation, dict[int, tuple[Claim, ...]]] = {
     "adaptive": {
         5: (Claim(6e-4, ((3, 1.5),)),),
         6: (
-            Claim(3e-4, ((5, 3.0),)),
-            Claim(4.5e-4, ((5, 0.9),)),
+            Claim(4.5e-4, ((5, 0.9), (3, 0.05))),
             Claim(3e-4, ((4, 0.28),)),
             Claim(4e-4, ((4, 0.18),)),
             Claim(9e-4, ((4, 0.06),)),
@@ -131,9 +131,9 @@ _CLAIMS: dict[Formulation, dict[int, tuple[Claim, ...]]] = {
             Claim(3e-4, ((4, 0.05),)),
         ),
         8: (Claim(3e-5, ((6, 1.15),)),),
-        9: (Claim(7e-5, ((8, 1.1),)), Claim(3e-5, ((6, 0.95),))),
+        9: (Claim(7e-5, ((8, 1.1), (6, 0.1))), Claim(3e-5, ((6, 0.95),))),
         10: (Claim(9e-5, ((9, 0.7), (8, 0.7))),),
-        12: (Claim(4e-5, ((10, 1.0), (9, 1.0))),),
+        12: (Claim(5e-5, ((10, 1.0), (9, 1.0))),),
         14: (Claim(2e-5, ((12, 1.5), (10, 1.0))),),
         16: (Claim(1.2e-5, ((14, 1.5), (12, 1.0))),),
     },

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from metafab import camera, decode, layout, library, mask, optics, phase
-from metafab.core.arguments import require_types
+from metafab.core.arguments import is_several, require_types
 from metafab.core.errors import InputError
 from metafab.layout import Assignment
 from metafab.library import Library
@@ -21,6 +22,17 @@ def test_all_wrong_arguments_are_reported_at_once() -> None:
     with pytest.raises(InputError) as refused:
         require_types("f", a=("x", int), b=("x", str), c=(1.0, str))
     assert str(refused.value) == "f:\n  `a`: expected int, got str\n  `c`: expected str, got float"
+
+
+def test_a_class_in_place_of_its_result_is_refused_too() -> None:
+    with pytest.raises(InputError, match="`imaging`: expected Imaging, got type"):
+        require_types("f", imaging=(optics.Imaging, optics.Imaging))
+
+
+def test_several_values_are_any_iterable_but_texts_tables_and_arrays_without_axes() -> None:
+    several = ([1.0], (1.0,), {1.0}, range(2), np.array([1.0]), iter([1.0]), {1.0: 2.0}.keys())
+    assert all(map(is_several, several))
+    assert not any(map(is_several, (1.0, np.float64(1.0), np.array(1.0), "10", {"term": "lens"}, None)))
 
 
 @pytest.fixture(scope="module")
@@ -48,6 +60,8 @@ def test_a_result_in_place_of_its_part_names_the_part(
         optics.psf(light, design, [0.003])  # type: ignore[arg-type]
     with pytest.raises(InputError, match=r"`source`: expected light, .* got PillarMap; `written_field` gives that of"):
         optics.psf(mapped.pillars, optics.Imaging.of(design), [0.003])  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"`source`: expected light, .* got Assignment; `written_field` gives that of"):
+        optics.psf(mapped, optics.Imaging.of(design), [0.003])  # type: ignore[arg-type]
 
 
 def test_exchanged_arguments_are_named(design: Design, smooth_library: Library) -> None:

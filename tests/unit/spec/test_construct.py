@@ -111,8 +111,15 @@ def test_whole_numbers_of_numpy_are_whole_numbers() -> None:
 
 def test_single_values_in_place_of_sequences_are_refused_by_name() -> None:
     make = partial(make_design, paper_cell(), aperture_um=100, focal_length_mm=1, pixel_um=2.4, focus_depth_m=0.003)
-    for key, single in (("phase", Lens()), ("depths_m", 0.003), ("formats", "gds")):
-        with pytest.raises(InputError, match=rf"`\w*\.?{key}`: expected a list, in square brackets, got"):
+    singles = (
+        ("phase", Lens()),
+        ("phase", {"term": "lens"}),
+        ("depths_m", 0.003),
+        ("depths_m", np.array(0.003)),
+        ("formats", "gds"),
+    )
+    for key, single in singles:
+        with pytest.raises(InputError, match=rf"`\w*\.?{key}`: expected a list.*, got"):
             make(**{"phase": [Lens()], key: single})
     with pytest.raises(InputError, match=r"`materials.pillar`: expected a table, got None"):
         make_unit_cell(

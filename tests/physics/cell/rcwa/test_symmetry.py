@@ -152,8 +152,9 @@ def test_uniform_layers_equal_the_closed_form(
     cell = _tilted(replace(cell, width_nm=width, length_nm=length, over=(), side="ambient"), angle)
     solved = zero_order(cell, 2, formulation)
     t, r = film_jones(cell, cell.n_pillar if closed else cell.n_ambient)
-    np.testing.assert_allclose(solved.t, t, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(solved.r, r, rtol=0.0, atol=1e-12)
+    # A thin slab whose modes reach x = 2.2 leaves up to 3.4e-12 in 3700 random films (5.4e-13 up to x = 1.5).
+    np.testing.assert_allclose(solved.t, t, rtol=0.0, atol=1e-11)
+    np.testing.assert_allclose(solved.r, r, rtol=0.0, atol=1e-11)
 
 
 @given(cells(lossy), st.floats(0.01, 0.99), formulations)

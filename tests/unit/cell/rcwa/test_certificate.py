@@ -32,9 +32,9 @@ def test_seven_cosines_are_skipped_where_claims_were_measured() -> None:
 
 def test_seven_cosines_are_tried_where_pillars_stand_close() -> None:
     """Their claims have a margin that grows with the size, so that eight would often be more than they need."""
-    near, close = convergence(replace(SILICON, width_nm=230.0)), convergence(replace(SILICON, width_nm=250.0))
+    near, close = convergence(replace(SILICON, width_nm=220.0)), convergence(replace(SILICON, width_nm=250.0))
     assert near.claims_margin == 1.0
-    assert close.is_measured and close.claims_margin == pytest.approx(1.0 + 24.0 * (250.0 / 350.0 - 0.66))
+    assert close.is_measured and close.claims_margin == pytest.approx(1.0 + 16.0 * (250.0 / 350.0 - 0.63))
     for target_error in (1e-2, 1e-3):
         assert ladder(CellNumerics(target_error=target_error), close)[:4] == (4, 6, 7, 8)
 
