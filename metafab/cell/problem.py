@@ -35,12 +35,9 @@ def pillar_cell(
 
     Width (along x) and length (along y) are 0 to the period. ``angle_deg`` is the polar angle in the medium of
     incidence, 0 to < 90; ``azimuth_deg`` that of the plane of incidence, counter-clockwise from +x. InputError if one
-    is out of range, a circle has two sizes, or a material is not known at the wavelength.
+    is out of range, or a material is not known at the wavelength. Two sizes make an ellipse of a circle.
     """
     spec, materials = unit_cell.cell, unit_cell.materials
-    if spec.shape == "circle" and width_nm != length_nm:
-        remedy = 'give one size, or `shape = "ellipse"` in the unit cell'
-        raise InputError.single("cell", "length_nm", f"{width_nm:g}, the circle's width", f"{length_nm:g}", remedy)
     wavelength = unit_cell.illumination.wavelength_nm if wavelength_nm is None else wavelength_nm
     n_ambient = _isotropic_index(materials.ambient, wavelength, "materials.ambient")
     films = [(each.height_nm, _isotropic_index(each.material, wavelength, "cell.film")) for each in spec.film or ()]

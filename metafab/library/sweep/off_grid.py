@@ -132,11 +132,7 @@ class OffGridSampler:
         on_grid = {self._fine_number(*divmod(number, self.grid.width_nm.size)) for number in self._sampling.solved}
         for _ in range(self._limits.steep_rounds):
             bound = self.certified_errors(off_grid)[1] + off_grid.between_error
-            worst = worst_points(self.grid, bound, (bound <= target).ravel(), self._limits.steep_sizes)
-            places = (self._places(slope, *divmod(int(k), self.grid.width_nm.size)) for k in worst)
-            known = on_grid | off_grid.solved.keys()
-            open_places = ([number for number in each if number not in known][:1] for each in places)
-            batch = np.array(list(dict.fromkeys(number for each in open_places for number in each)), dtype=np.intp)
+            batch = self._open_places(bound, target, slope, on_grid | off_grid.solved.keys())
             if not batch.size:
                 break
             new = self._solve(batch, len(off_grid.solved), slopes=False)
@@ -161,6 +157,21 @@ class OffGridSampler:
         solve_points = replace(self._solve_points, numerics=replace(numerics, slopes=numerics.slopes and slopes))
         answers = solve_points(batch + first, len(self._sampling.solved) + already_solved + batch.size)
         return {number - first: point for number, point in answers.items()}
+
+    def _open_places(self, bound: FloatArray, target: float, slope: FloatArray, known: set[int]) -> IndexArray:
+        """Numbers on the finer grid of a place, not ``known``, for each of the sizes with the largest bounds.
+
+        A size whose places are all known is passed over: it would keep its neighbours from their turn. ``bound`` has
+        the shape (n_length, n_width); sizes of at most ``target`` need no place. ``slope`` as in :meth:`_places`.
+        """
+        passed = (bound <= target).ravel()
+        while True:
+            worst = worst_points(self.grid, bound, passed, self._limits.steep_sizes).tolist()
+            places = [self._places(slope, *divmod(size, self.grid.width_nm.size)) for size in worst]
+            unknown = [next((place for place in each if place not in known), None) for each in places]
+            if None not in unknown:
+                return np.array(list(dict.fromkeys(unknown)), dtype=np.intp)
+            passed[[size for size, place in zip(worst, unknown, strict=True) if place is None]] = True
 
     def _places(self, slope: FloatArray, row: int, column: int) -> tuple[int, int]:
         """Numbers on the finer grid of the steepest place up to half a step around a size, and of the size itself.

@@ -209,13 +209,6 @@ def test_impossible_layers_are_refused(unit_cell: UnitCell, tmp_path: Path, laye
         load_unit_cell(path)
 
 
-def test_a_circle_has_one_size(unit_cell: UnitCell) -> None:
-    circles = replace(unit_cell, cell=replace(unit_cell.cell, shape="circle"))
-    assert pillar_cell(circles, 150.0, 150.0).shape == "ellipse"
-    with pytest.raises(InputError, match="`length_nm`: expected 150, the circle's width, got 160; give one size, or"):
-        pillar_cell(circles, 150.0, 160.0)
-
-
 def test_a_unit_cell_in_place_of_a_pillar_is_told_how_to_make_one(unit_cell: UnitCell) -> None:
     with pytest.raises(InputError, match="`cell`: expected a PillarCell, got UnitCell; `pillar_cell` makes one"):
         solve(unit_cell)  # type: ignore[arg-type]

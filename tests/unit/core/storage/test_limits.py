@@ -62,7 +62,9 @@ def write_npz(path: Path) -> None:
 
 
 def write_sweep(path: Path) -> None:
-    np.savez_compressed(path, width_nm=np.arange(1e5), length_nm=np.arange(1e5), t=np.zeros(100_000))
+    np.savez_compressed(
+        path, width_nm=np.arange(1e5), length_nm=np.arange(1e5), t=np.zeros(100_000, dtype=np.complex64)
+    )
 
 
 def read_modestly(path: Path) -> None:
