@@ -131,7 +131,7 @@ def test_diameters_between_and_ellipses_are_solved(circles: Library) -> None:
 @pytest.fixture
 def two_circles(circles: Library) -> WrittenField:
     """Circles of 110 and 150 nm as rows 1 and 2 of the table."""
-    lattice = Lattice(period_dbu=(600, 600), shape=(2, 2), database_unit_nm=0.5)
+    lattice = Lattice(period_dbu=(800, 800), shape=(2, 2), database_unit_nm=0.5)
     size_dbu = np.array([[0, 0], [220, 220], [300, 300]], dtype=np.int32)
     index = np.array([[1, 2], [2, 1]], dtype=np.uint16)
     return written_field(PillarMap.from_array(lattice, size_dbu, index, 2), circles)
