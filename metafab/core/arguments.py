@@ -34,7 +34,7 @@ def is_several(value: Any) -> bool:
 
 
 def _remedy(value: Any, kind: type) -> str:
-    """Advice how to come from a value to one of a type."""
+    """Advice on how to get an argument of a type from the value that was given."""
     names = [item.name for item in fields(value)] if is_dataclass(value) else []
     if name := next((name for name in names if isinstance(getattr(value, name, None), kind)), None):
         return f"give its `{name}`"

@@ -92,7 +92,7 @@ class Image4D(Displayed):
 
 def save(image: Image4D, path: Path | str, *, inputs_sha256: str = "") -> None:
     """Write a decoded image; an interrupted write leaves no file."""
-    with hdf5.create(Path(path), kind=DECODED_KIND, format_version=DECODED_FORMAT, inputs_sha256=inputs_sha256) as file:
+    with hdf5.create(path, kind=DECODED_KIND, format_version=DECODED_FORMAT, inputs_sha256=inputs_sha256) as file:
         put_axes(file, image.depth_m.shape, image.origin_um, image.pixel_um)
         for name, units, description in _DATASETS:
             values = getattr(image, name)

@@ -61,7 +61,7 @@ _NEIGHBOUR_DATASETS = {
 
 def save(psf: Psf, path: Path | str, *, inputs_sha256: str = "") -> None:
     """Write ``psf`` to ``path``, whole or not at all; ``inputs_sha256`` is the fingerprint of its inputs."""
-    with hdf5.create(Path(path), kind=PSF_KIND, format_version=PSF_FORMAT, inputs_sha256=inputs_sha256) as file:
+    with hdf5.create(path, kind=PSF_KIND, format_version=PSF_FORMAT, inputs_sha256=inputs_sha256) as file:
         put(file, psf)
 
 

@@ -28,7 +28,7 @@ def save(profile: PhaseProfile, design: Design, path: Path | str, *, samples: in
     axis_um = np.linspace(-half_side_um, half_side_um, samples)
     inside = design.device.encloses(axis_um, axis_um)
     inputs = fingerprint(design.phase, design.device, design.unit_cell.illumination, design.numerics.seed)
-    with hdf5.create(Path(path), kind=KIND, format_version=FORMAT, inputs_sha256=inputs) as file:
+    with hdf5.create(path, kind=KIND, format_version=FORMAT, inputs_sha256=inputs) as file:
         hdf5.put(file, "x_um", axis_um, units="um", description="position from the axis", dims=("x_um",))
         hdf5.put(file, "y_um", axis_um, units="um", description="position from the axis", dims=("y_um",))
         hdf5.put(file, "polarisation", list(POLARISATIONS), units="1", description="x, y", dims=("polarisation",))

@@ -103,7 +103,7 @@ def pixel_axes(shape: tuple[int, ...], origin_um: tuple[float, float], pixel_um:
 
 def save(frame: RawFrame, path: Path | str, *, inputs_sha256: str = "") -> None:
     """Write a frame; an interrupted write leaves no file."""
-    with hdf5.create(Path(path), kind=RAW_KIND, format_version=RAW_FORMAT, inputs_sha256=inputs_sha256) as file:
+    with hdf5.create(path, kind=RAW_KIND, format_version=RAW_FORMAT, inputs_sha256=inputs_sha256) as file:
         put_axes(file, frame.frame.shape, frame.origin_um, frame.pixel_um)
         _image(file, "frame", frame.frame, "e", "raw frame (electrons, or counts of a camera)")
         file.attrs["pixel_um"] = frame.pixel_um

@@ -30,7 +30,7 @@ from metafab.core.storage.limits import beyond, limit
 
 @contextmanager
 def create(
-    path: Path, *, kind: str, format_version: int, inputs_sha256: str, streamed: bool = False
+    path: Path | str, *, kind: str, format_version: int, inputs_sha256: str, streamed: bool = False
 ) -> Iterator[h5py.File]:
     """Create an HDF5 file that appears under ``path`` only if the block succeeds.
 
@@ -39,7 +39,7 @@ def create(
     not in memory; test :func:`require_space` before each write.
     """
     # In memory by default: on a full disk the HDF5 library aborts the process, Python's own write raises.
-    with whole_file(path) as part:
+    with whole_file(Path(path)) as part:
         # Without tracked times, the same content gives the same bytes.
         options: dict[str, Any] = {"libver": ("v110", "v110"), "track_order": True}
         if not streamed:

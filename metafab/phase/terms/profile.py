@@ -77,10 +77,8 @@ class PhaseProfile:
             shape = _TRIED_Y_UM.size, _TRIED_X_UM.size
             if phase.dtype.kind not in "fiu" or not _fits(phase.shape, shape):
                 expected = f"real radians of shape (n_y, n_x), {shape} at 3 values of x and 2 of y"
-                got, remedy = (
-                    f"{phase.dtype} of shape {phase.shape}",
-                    "x varies along the last axis: x_um, y_um[:, None]",
-                )
+                got = f"{phase.dtype} of shape {phase.shape}"
+                remedy = "x varies along the last axis: x_um, y_um[:, None]"
                 raise InputError.single("phase", f"terms[{number}]", expected, got, remedy)
 
     def __call__(self, x_um: FloatArray, y_um: FloatArray) -> FloatArray:
