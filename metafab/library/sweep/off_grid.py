@@ -9,6 +9,8 @@ and :func:`~metafab.library.fit.certificate.solver_errors` scales their certific
 solved at the steepest place has a certificate of its own; if that is not enough, the size of the grid itself is solved.
 
 Sizes off the grid are no sizes of the library. They only improve its model and error bounds.
+
+Sizes of the grid whose own bound is still above the target are solved last: no model has to know them then.
 """
 
 from __future__ import annotations
@@ -64,13 +66,14 @@ class OffGridSampler:
     Args:
         unit_cell: unit cell with its sweep.
         sampling: result on the grid of sizes.
-        solve_points: solves cells by checkpoint number; its ``cell_of`` is replaced.
+        solve_points: solves cells by checkpoint number; its ``cell_of`` gives the sizes of the grid.
         limits: sizes and number of the rounds.
         fit: fits the models.
 
     Attributes:
         grid: sizes.
         fine: finer grid.
+        sampling: result on the grid of sizes, with those that :meth:`sample_open_sizes` solved.
         end_number: first checkpoint number after the points of the finer grid.
     """
 
@@ -85,7 +88,8 @@ class OffGridSampler:
         self.grid = SizeGrid.of(unit_cell)
         self.fine = self.grid.refined(PARTS)
         self.end_number = self.grid.size + self.fine.size
-        self._sampling, self._limits, self._fit = sampling, limits, fit
+        self.sampling, self._limits, self._fit = sampling, limits, fit
+        self._cell_of_size = solve_points.cell_of
         slopes = any(len(point.amplitudes) > 4 for point in sampling.solved.values())
         self._solve_points = replace(
             solve_points,
@@ -95,7 +99,7 @@ class OffGridSampler:
 
     def sample_disagreement(self, tolerance: float) -> OffGridSampling:
         """Solve sizes off the grid until the models agree to ``tolerance`` between the grid's sizes, too."""
-        grid, fine, sampling = self.grid, self.fine, self._sampling
+        grid, fine, sampling = self.grid, self.fine, self.sampling
         models, factor = sampling.models, sampling.safety_factor
         if models is None:
             return OffGridSampling({}, None, np.zeros(grid.shape), np.zeros(grid.shape))
@@ -129,7 +133,7 @@ class OffGridSampler:
         if off_grid.models is None:
             return off_grid
         slope = amplitude_slopes(off_grid.models.best, self.grid.width_nm, self.grid.length_nm)
-        on_grid = {self._fine_number(*divmod(number, self.grid.width_nm.size)) for number in self._sampling.solved}
+        on_grid = {self._fine_number(*divmod(number, self.grid.width_nm.size)) for number in self.sampling.solved}
         for _ in range(self._limits.steep_rounds):
             bound = self.certified_errors(off_grid)[1] + off_grid.between_error
             batch = self._open_places(bound, target, slope, on_grid | off_grid.solved.keys())
@@ -141,9 +145,32 @@ class OffGridSampler:
             off_grid = replace(off_grid, solved={**off_grid.solved, **new}, between_error=between_error)
         return off_grid
 
+    def sample_open_sizes(self, off_grid: OffGridSampling, target: float) -> OffGridSampling:
+        """Solve the sizes of the grid whose own error bound, solver and model together, is above ``target``.
+
+        Their answers go to ``sampling``. Models are not fitted again: a size that is solved needs none, and another fit
+        could open other sizes. A solver that misses the target at most sizes is not asked. Returns ``off_grid`` with
+        the model's errors at the new sizes.
+        """
+        if off_grid.models is None or np.median([point.error for point in self.sampling.solved.values()]) > target:
+            return off_grid
+        grid, numerics = self.grid, replace(self._solve_points.numerics, slopes=False)
+        solve_sizes = replace(self._solve_points, cell_of=self._cell_of_size, numerics=numerics)
+        while True:
+            solved = self.sampling.solved
+            unsolved = np.setdiff1d(grid.distinct, list(solved))
+            bound = self.certified_errors(off_grid)[0] + off_grid.model_error
+            open_sizes = unsolved[(np.maximum(bound, bound.T) if grid.exchange else bound).ravel()[unsolved] > target]
+            if not open_sizes.size:
+                return off_grid
+            new = solve_sizes(open_sizes, len(solved) + len(off_grid.solved) + open_sizes.size)
+            self.sampling = replace(self.sampling, solved=dict(sorted({**solved, **new}.items())))
+            residual = _residual(grid, off_grid.models, new)
+            off_grid = replace(off_grid, between_error=np.maximum(off_grid.between_error, residual))
+
     def certified_errors(self, off_grid: OffGridSampling) -> tuple[FloatArray, FloatArray]:
         """Return the solver's error at every size, and around it: shape (n_length, n_width) each."""
-        solved = self._sampling.solved
+        solved = self.sampling.solved
         on_numbers, off_numbers = (np.array(list(each), dtype=np.intp) for each in (solved, off_grid.solved))
         error = np.array([point.error for point in (*solved.values(), *off_grid.solved.values())])
         sizes_nm = np.concatenate([self.grid.sizes_nm(on_numbers), self.fine.sizes_nm(off_numbers)], axis=1)
@@ -155,7 +182,7 @@ class OffGridSampler:
         """Answers by number on the finer grid; without slopes where no model is fitted to them."""
         first, numerics = self.grid.size, self._solve_points.numerics
         solve_points = replace(self._solve_points, numerics=replace(numerics, slopes=numerics.slopes and slopes))
-        answers = solve_points(batch + first, len(self._sampling.solved) + already_solved + batch.size)
+        answers = solve_points(batch + first, len(self.sampling.solved) + already_solved + batch.size)
         return {number - first: point for number, point in answers.items()}
 
     def _open_places(self, bound: FloatArray, target: float, slope: FloatArray, known: set[int]) -> IndexArray:
@@ -194,14 +221,14 @@ def _disagreement(grid: SizeGrid, models: RankedModels) -> FloatArray:
     return disagreement_estimate(models.disagreement(grid.width_nm, grid.length_nm), grid.exchange)
 
 
-def _residual(fine: SizeGrid, models: RankedModels, solved: dict[int, SolvedPoint]) -> FloatArray:
-    """Error of the model at solved points beyond the solver's error, 0 elsewhere: shape (n_length, n_width)."""
-    residual = np.zeros(fine.size)
+def _residual(grid: SizeGrid, models: RankedModels, solved: dict[int, SolvedPoint]) -> FloatArray:
+    """Error of the model at solved points of a grid beyond the solver's error, 0 elsewhere: the grid's shape."""
+    residual = np.zeros(grid.size)
     if solved:
-        miss, certificate = prediction_errors(models.best, fine, solved)
+        miss, certificate = prediction_errors(models.best, grid, solved)
         residual[list(solved)] = np.maximum(miss - certificate, 0.0)
-    on_grid = residual.reshape(fine.shape)
-    return np.maximum(on_grid, on_grid.T) if fine.exchange else on_grid
+    on_grid = residual.reshape(grid.shape)
+    return np.maximum(on_grid, on_grid.T) if grid.exchange else on_grid
 
 
 def _around(fine_error: FloatArray) -> FloatArray:

@@ -154,6 +154,25 @@ def test_a_size_that_is_solved_on_the_grid_is_not_solved_off_it(
     assert not on & off
 
 
+@pytest.mark.parametrize("solver_error", [1e-4, 3e-3])
+def test_sizes_that_the_model_does_not_know_are_solved_where_the_solver_can(
+    cell: UnitCell, grid: SizeGrid, sampling: GridSampling, solving: Solving, solver_error: float
+) -> None:
+    """A model is off by 0.05 at one size, and 25 sizes say that it may be: each is solved, its mirror image is not."""
+    solved = {number: replace(point, error=solver_error) for number, point in sampling.solved.items()}
+    sampler = OffGridSampler(cell, replace(sampling, solved=solved), solving(partial(grid.cell, cell)))
+    stated = np.full(grid.shape, 1e-4)
+    stated[20:25, 12:17] = stated[12:17, 20:25] = 5e-3
+    assert sampling.models is not None
+    best = cast(RationalModel, Spiked(sampling.models.best, (grid.width_nm[14], grid.length_nm[22])))
+    start = OffGridSampling({}, replace(sampling.models, best=best), stated, np.zeros(grid.shape))
+    after = sampler.sample_open_sizes(start, 2e-3)
+    square = {row * grid.width_nm.size + column for row in range(20, 25) for column in range(12, 17)}
+    expected = square - solved.keys() if solver_error < 2e-3 else set()
+    assert sampler.sampling.solved.keys() - solved.keys() == expected
+    assert after.between_error[22, 14] == pytest.approx(0.05 if expected else 0.0, rel=0.01)
+
+
 def test_steep_places_are_solved_until_the_target_holds_between_the_sizes(
     unit_cell: UnitCell,
 ) -> None:
