@@ -12,7 +12,7 @@ from sphinx.domains.python import PythonDomain
 
 from metafab import __version__
 
-sys.path.insert(0, str(Path(__file__).parent))  # where `device_gallery` and `key_reference` lie
+sys.path.insert(0, str(Path(__file__).parent))  # where our extensions lie
 
 # Trees of pages are millions of objects and no garbage: with the collector's 700, searches take a quarter of the time.
 gc.set_threshold(50_000)
@@ -22,12 +22,13 @@ author = "The metafab founders"
 copyright = "2026, the metafab founders"  # noqa: A001 (the name that Sphinx asks for)
 release = version = __version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
-extensions += ["device_gallery", "key_reference"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions += ["device_gallery", "key_reference", "native_math"]
 myst_enable_extensions = ["dollarmath", "deflist", "colon_fence"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "_gallery"]
 
+html_math_renderer = "mathml"
 html_theme = "alabaster"
 html_static_path = ["_static"]
 html_css_files = ["metafab.css"]

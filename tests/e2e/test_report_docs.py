@@ -104,6 +104,14 @@ def test_no_line_is_lost_as_a_comment(page: Path) -> None:
     assert not [number for number, line in enumerate(lines, 1) if line.lstrip().startswith("%")]
 
 
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_no_formula_is_broken_by_a_line_that_begins_a_list(page: Path) -> None:
+    """A line that begins with a minus ends its paragraph, and the formula in it: from there on text is mathematics."""
+    text = re.sub(r"```.*?```|`[^`]*`|\$\$.*?\$\$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    blocks = re.split(r"\n\s*\n|\n(?=\s*[-*+] )", text)
+    assert not [block for block in blocks if block.count("$") % 2]
+
+
 def test_every_page_is_reached() -> None:
     """No page stands outside the table of contents."""
     listed = set()
