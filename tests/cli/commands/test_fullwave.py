@@ -1,4 +1,4 @@
-"""``metafab fullwave``: supercells of a file by each solver, refusals by name; pillars of ``coupling`` and ``patch``."""
+"""``metafab fullwave``: supercells by each solver, refusals by name; pillars of ``coupling`` and ``patch``."""
 
 from __future__ import annotations
 
