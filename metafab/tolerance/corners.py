@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
@@ -41,6 +41,8 @@ _SAMPLES = 56
 _SLICES = 8
 #: Sizes solved once more with half the slices, for the error of the slices.
 SLICE_CHECKS = 4
+#: Rows of sites that are compared at a time.
+_BAND_ROWS = 256
 #: Largest factor by which a corner may raise an amplitude as a ratio: it raises the solver's error as much.
 _LARGEST_RATIO = 2.0
 
@@ -59,6 +61,18 @@ class CornerField:
     def relative_error(self) -> float:
         """Error of the change over the change."""
         return self.error / self.change if self.change > 0.0 else 0.0
+
+    def against(self, written: WrittenField) -> CornerField:
+        """Return the corner with its change from the pillars of ``written``, site by site: of other sizes, too."""
+        old_power, new_power, product = np.zeros((3, 2), dtype=np.complex128)
+        both = zip(written.pillars.bands(_BAND_ROWS), self.field.pillars.bands(_BAND_ROWS), strict=True)
+        for (_, old_index), (_, new_index) in both:
+            old, new = written.table[old_index[:_BAND_ROWS]], self.field.table[new_index[:_BAND_ROWS]]
+            old_power += np.sum(np.abs(old) ** 2, axis=(0, 1))
+            new_power += np.sum(np.abs(new) ** 2, axis=(0, 1))
+            product += np.sum(new * old.conj(), axis=(0, 1))
+        left = new_power.real - np.abs(product) ** 2 / old_power.real
+        return replace(self, change=float(np.sqrt(max(0.0, left.sum()) / old_power.real.sum())))
 
 
 def corner_fields(
