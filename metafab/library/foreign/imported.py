@@ -220,8 +220,8 @@ def _on_grid(
     values = np.full((len(places), 2), np.nan, dtype=np.complex128)
     error = np.full(len(places), np.nan)
     values[inside] = _complex(_spline(lines, t)(points))
-    distance_nm, nearest = cKDTree(lines).query(points, k=min(_NEIGHBOURS, len(lines)))
-    between = distance_nm[:, 0] > _SAME_NM
+    distance_nm, nearest = cKDTree(lines).query(points, k=[*range(1, min(_NEIGHBOURS, len(lines)) + 1)])
+    between = np.asarray(distance_nm)[:, 0] > _SAME_NM
     error[inside] = np.where(between, missed[nearest].max(axis=1), _ROUNDING)
     return values, error, float(np.mean(between))
 
