@@ -76,8 +76,8 @@ class PairFigures:
         if self.made_error is None or not self.made_error > _LARGEST_MADE_ERROR:
             return []
         return [
-            f"the amplitudes of the made pillars are known to {100.0 * self.made_error:.2g} % (rms): sizes between those "
-            "that are solved lie beside resonances. Efficiencies may be off by about as much"
+            f"the amplitudes of the made pillars are known to {100.0 * self.made_error:.2g} % (rms): some lie between "
+            "solved sizes and beside resonances. Efficiencies may be off by about as much"
         ]
 
     def _of_window(self) -> list[str]:
