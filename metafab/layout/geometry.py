@@ -6,6 +6,7 @@ Nothing is rounded on the way: a length that is not a whole number of units is a
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -110,13 +111,15 @@ def field_sites(design: Design) -> tuple[int, int]:
     cell = design.unit_cell.cell
     hexagonal = cell.is_hexagonal
     sites = []
-    for period_nm in cell.period_nm[:1] if hexagonal else cell.period_nm:
+    periods_nm = cell.period_nm[:1] if hexagonal else cell.period_nm
+    for period_nm in periods_nm:
         count = round(field_nm / period_nm)
         if count < 1 or abs(count * period_nm - field_nm) > 1e-3:
-            below = max(1, math.floor(field_nm / period_nm))
-            expected = f"a whole number of periods of {period_nm:g} nm"
-            got = f"{design.mask.write_field_um:g} um, {field_nm / period_nm:.6g} periods"
-            remedy = f"use {below * period_nm * 1e-3:.6g} or {(below + 1) * period_nm * 1e-3:.6g} um"
+            common_nm = _common_nm(periods_nm, design.mask.database_unit_nm)
+            below = max(1, math.floor(field_nm / common_nm))
+            expected = f"a whole number of periods of {' and of '.join(f'{p:g}' for p in dict.fromkeys(periods_nm))} nm"
+            got = f"{design.mask.write_field_um:g} um, {field_nm / period_nm:.6g} periods of {period_nm:g} nm"
+            remedy = f"use {below * common_nm * 1e-3:.6g} or {(below + 1) * common_nm * 1e-3:.6g} um"
             raise InputError.single(design.name, "mask.write_field_um", expected, got, remedy)
         sites.append(count)
     if not hexagonal:
@@ -124,6 +127,11 @@ def field_sites(design: Design) -> tuple[int, int]:
     columns, rows = 2 * sites[0], math.floor(field_nm / cell.period_nm[1] + 1e-9)
     tile = _nearest_divisor(columns, min(design.numerics.tile_sites, rows))
     return columns, max(1, rows // tile) * tile
+
+
+def _common_nm(periods_nm: Sequence[float], unit_nm: float) -> float:
+    """Smallest common multiple of periods that are whole numbers of database units."""
+    return math.lcm(*(max(1, round(period_nm / unit_nm)) for period_nm in periods_nm)) * unit_nm
 
 
 def tile_sites(design: Design) -> int:

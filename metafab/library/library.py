@@ -156,8 +156,9 @@ class Library(Displayed):
         Fewer than four widths or lengths, and circles, raise InputError.
         """
         if not self.known.all():
-            expected = "a library of widths and lengths, which is continuous in both"
-            raise InputError.single("library", "cell.shape", expected, "circles", "use sizes of the grid")
+            expected = "a library of all widths and lengths, which is continuous in both"
+            got = f"one of {int(self.known.sum())} of {self.known.size} sizes"
+            raise InputError.single("library", "sweep", expected, got, "use sizes of the grid")
         if not self.is_continuous:
             got = f"{self.width_nm.size} widths and {self.length_nm.size} lengths"
             raise InputError.single("library", "sweep", "at least 4 sizes a side", got, "sweep a range of sizes")

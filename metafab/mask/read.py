@@ -81,6 +81,28 @@ class ReadBack(Displayed):
             "other layers": layers or "none",
         }
 
+    @property
+    def displaced_um(self) -> tuple[float, float] | None:
+        """Place of the pillars from their sites in the design, (x, y), if no pillar lies at a site.
+
+        None if some do, if there are too many to keep the places of all, or if they extend over another area than the
+        lattice.
+        """
+        boxes, lattice = self.off_site.boxes_nm, self.pillars.lattice
+        if not len(boxes) or len(boxes) < self.off_site.count or self._has_pillars:
+            return None
+        centres_nm = boxes[:, :2] + 0.5 * boxes[:, 2:]
+        low, high = centres_nm.min(axis=0), centres_nm.max(axis=0)
+        sites_um = lattice.x_um()[[0, -1]], lattice.y_um()[[0, -1]]
+        if not np.allclose(high - low, [1e3 * np.ptp(axis) for axis in sites_um], rtol=0.0, atol=1e-3):
+            return None
+        x_um, y_um = np.round(1e-3 * (0.5 * (low + high) - self.at_nm), 6).tolist()
+        return x_um, y_um
+
+    @property
+    def _has_pillars(self) -> bool:
+        return any(tile.size_index.any() for tile in self.pillars.tiles())
+
     def require_pillars_alone(self, remedy: str) -> None:
         """Refuse a lens without pillars, or a pillar layer with anything else than pillars at sites of the lattice.
 
@@ -96,10 +118,24 @@ class ReadBack(Displayed):
         got = ", ".join(f"{count} {where}" for where, count in unplaced.items() if count)
         if got:
             expected = "rectangles at lattice sites and nothing else on the pillar layer"
+            if (displaced_um := self.displaced_um) is not None:
+                remedy = displacement_remedy(displaced_um)
             raise InputError.single(str(self.path), "pillars", expected, got, remedy)
-        if not any(tile.size_index.any() for tile in self.pillars.tiles()):
+        if not self._has_pillars:
             expected, remedy = "at least one at a site of the lens", "read the mask with its own design"
-            raise InputError.single(str(self.path), "pillars", expected, "none", remedy)
+            if self.other_layers:
+                got = f"none on its layer, and {', '.join(f'{n} on {layer}' for layer, n in self.other_layers.items())}"
+                remedy += "; are `mask.layer` and `mask.datatype` those of the file?"
+            raise InputError.single(str(self.path), "pillars", expected, got or "none", remedy)
+
+
+def displacement_remedy(displaced_um: tuple[float, float]) -> str:
+    """Return a sentence on pillars that all lie elsewhere than at their sites, by (x, y)."""
+    x, y = (f"{value:.10g}" for value in displaced_um)
+    return (
+        f"they stand as far apart as in the design, and ({x}, {y}) um from their places there: name the place of the "
+        "lens by `at_um` in `[[mask.copies]]`"
+    )
 
 
 def read(

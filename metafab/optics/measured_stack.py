@@ -28,6 +28,8 @@ FEWEST_DEPTHS = 3
 _SMALLEST_PX = 8
 #: Width of the border that measures the background, as a share of the shorter side.
 _BORDER = 1.0 / 16.0
+#: Standard deviation of rounding to whole counts.
+_ROUNDING = 1.0 / math.sqrt(12.0)
 #: Standard deviations of the border's noise below which a pixel counts as dark.
 _SIGMAS = 3.0
 #: Standard deviations of noise that no pixel of a dark picture exceeds: of 10^6 pixels, 0.001 do by chance.
@@ -129,8 +131,9 @@ def psf_of_stack(
     made += assumed
     offset_um = pixel_um * np.array(centres if channels == 2 else [(0.0, 0.0)] * 2)
     places = offset_um + 0.5 * np.array([[-1.0], [1.0]]) * np.array(split_um)
-    # Noise against the signal of each picture; the y image made of x has the same.
-    error = (noise * math.sqrt(n_y * n_x) / np.linalg.norm(lit, axis=(-2, -1))).max(axis=0)
+    # Noise, of whole counts at least their rounding, against the signal of each picture; y made of x has the same.
+    of_each = np.maximum(noise, _ROUNDING) if np.array_equal(stack, np.rint(stack)) else noise
+    error = (of_each * math.sqrt(n_y * n_x) / np.linalg.norm(lit, axis=(-2, -1))).max(axis=0)
     crowded = float(((lit * _border((n_y, n_x))).sum(axis=(-2, -1)) / lit.sum(axis=(-2, -1))).max())
     psf = Psf(
         depth_m=depth,

@@ -26,13 +26,13 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
     from metafab import layout, optics, tolerance
 
     design = job.design
-    made = []
+    written, made = mask_source(job, path, copy), []
     if design.process is not None and design.process.exposure is not None:
         kinds: tuple[Printed, ...] = ("plain", "corrected")
-        made = [made_mask(job, path, printed, copy).field for printed in kinds]
+        made = [made_mask(job, path, printed, copy).field.against(written) for printed in kinds]
     imaging = optics.Imaging.of(design)
     return tolerance.tolerance_table(
-        mask_source(job, path, copy),
+        written,
         open_library(job),
         imaging,
         design.verify.depths_m,

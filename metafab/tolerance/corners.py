@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
@@ -41,6 +41,10 @@ _SAMPLES = 56
 _SLICES = 8
 #: Sizes solved once more with half the slices, for the error of the slices.
 SLICE_CHECKS = 4
+#: Rows of sites that are compared at a time.
+_BAND_ROWS = 256
+#: Largest factor by which a corner may raise an amplitude as a ratio: it raises the solver's error as much.
+_LARGEST_RATIO = 2.0
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,18 @@ class CornerField:
     def relative_error(self) -> float:
         """Error of the change over the change."""
         return self.error / self.change if self.change > 0.0 else 0.0
+
+    def against(self, written: WrittenField) -> CornerField:
+        """Return the corner with its change from the pillars of ``written``, site by site: of other sizes, too."""
+        old_power, new_power, product = np.zeros((3, 2), dtype=np.complex128)
+        both = zip(written.pillars.bands(_BAND_ROWS), self.field.pillars.bands(_BAND_ROWS), strict=True)
+        for (_, old_index), (_, new_index) in both:
+            old, new = written.table[old_index[:_BAND_ROWS]], self.field.table[new_index[:_BAND_ROWS]]
+            old_power += np.sum(np.abs(old) ** 2, axis=(0, 1))
+            new_power += np.sum(np.abs(new) ** 2, axis=(0, 1))
+            product += np.sum(new * old.conj(), axis=(0, 1))
+        left = new_power.real - np.abs(product) ** 2 / old_power.real
+        return replace(self, change=float(np.sqrt(max(0.0, left.sum()) / old_power.real.sum())))
 
 
 def corner_fields(
@@ -271,12 +287,27 @@ class MaskSizes:
 
     def _fitted(self, library: Library, before: ComplexArray, after: ComplexArray) -> tuple[ComplexArray, float]:
         """Amplitudes fitted to the change of the sample, and their relative leave-one-out error."""
+        changed, missed = changed_amplitudes(self.t[self.sample], before, after)
         if self.sample.size == self.index.size:
-            return self.t * (after / before), SOLVER_ERROR
+            weight = self.count[:, None]
+            square = np.sum(weight * missed**2) / np.sum(weight * np.abs(self.t) ** 2)
+            return changed, float(np.hypot(SOLVER_ERROR, np.sqrt(square)))
         groups = [(0, 1)] if swaps_polarisations(library) else [(0,), (1,)]
-        # The ratio cancels the solver's common error and a constant factor of an imported library.
-        changed = self.t[self.sample] * (after / before)
         return fitted_amplitudes(library, self.size_nm, self.sample, changed, groups)
+
+
+def changed_amplitudes(t: ComplexArray, before: ComplexArray, after: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+    """Return a library's amplitudes ``t`` at a corner, and the error that a difference of solutions adds: all (n, 2).
+
+    The ratio of the solutions ``after`` and ``before`` the change cancels the solver's common error and a constant
+    factor of an imported library. Beside a resonance the amplitude before the change may be close to 0, where a ratio
+    would raise the solver's error without limit: there the difference of the solutions is added, times that factor.
+    """
+    factor = np.sum(before.conj() * t, axis=0) / np.sum(np.abs(before) ** 2, axis=0)
+    weak = np.abs(after) > _LARGEST_RATIO * np.abs(before)
+    ratio = np.divide(after, before, out=np.zeros_like(after), where=~weak)
+    changed = np.where(weak, t + factor * (after - before), t * ratio)
+    return changed, np.where(weak, np.abs(t - factor * before), 0.0)
 
 
 def _cell(library: Library, width_nm: float, length_nm: float, corner: Corner) -> PillarCell:

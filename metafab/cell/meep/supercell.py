@@ -31,6 +31,8 @@ _UPDATES_PER_S = 3e7
 _BYTES_PER_PIXEL = 200.0
 #: Optical periods of a run at a decay of 1e-2 to 1e-3.
 _USUAL_PERIODS = 75.0
+#: Largest number of pixels of a period that a message recommends.
+_MOST_PIXELS = 100
 
 
 @dataclass(frozen=True)
@@ -190,9 +192,11 @@ def plan(
     cell = supercell.cell
     per_x = settings.pixels_per_period
     per_y = per_x * cell.period_nm[1] / cell.period_nm[0]
-    if per_x < 8 or per_x % 2 or abs(per_y - round(per_y)) > 1e-6 or round(per_y) % 2:
-        expected = "an even number from 8 that also divides the y period"
-        raise InputError.single("meep", "pixels_per_period", expected, f"{per_x}")
+    if not _fits(cell, per_x):
+        expected = "an even number from 8 whose pixels also divide the y period, into an even number"
+        fitting = [f"{count}" for count in range(8, _MOST_PIXELS + 1, 2) if _fits(cell, count)]
+        remedy = f"take {', '.join(fitting[:3])}" if fitting else f"none up to {_MOST_PIXELS} does: change a period"
+        raise InputError.single("meep", "pixels_per_period", expected, f"{per_x}", remedy)
     order = np.zeros((1, 2), dtype=np.intp) if order is None else order
     pixel = cell.period_nm[0] * 1e-3 / per_x
     return smoothed_plan(
@@ -209,6 +213,12 @@ def plan(
         decay=settings.decay,
         longest_time=settings.longest_periods * cell.wavelength_nm * 1e-3,
     )
+
+
+def _fits(cell: PillarCell, per_x: int) -> bool:
+    """Whether square pixels, this number of them along the x period, divide both periods into even numbers."""
+    per_y = per_x * cell.period_nm[1] / cell.period_nm[0]
+    return per_x >= 8 and per_x % 2 == 0 and abs(per_y - round(per_y)) <= 1e-6 and round(per_y) % 2 == 0
 
 
 def _mirrors(supercell: Supercell) -> tuple[Polarisation, ...]:

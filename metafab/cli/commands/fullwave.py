@@ -66,15 +66,15 @@ def coupling_command(
 
     With ``-o DIR/coupling.json`` in a run folder, the next run adds the result to its error budget.
     """
-    from metafab import fullwave, mask
+    from metafab import fullwave
     from metafab.cell.meep import SupercellSettings
     from metafab.core.storage.files import file_sha256
-    from metafab.steps import open_library
+    from metafab.steps import mask_source, open_library
 
     with open_work() as (work, cost):
         job = open_job(design, None, work)
         coupling = fullwave.measure_coupling(
-            mask.read(layout, job.design, progress=work.progress).pillars,
+            mask_source(job, layout).pillars,
             open_library(job),
             [_place(text) for text in at_um],
             file_sha256(layout),
@@ -110,19 +110,19 @@ def patch_command(
 
     With ``-o DIR/patch.h5`` in a run folder, the next report shows the fields.
     """
-    from metafab import fullwave, mask
+    from metafab import fullwave
     from metafab.cell.meep import Pool, SupercellSettings
     from metafab.cell.meep.pool import own_folder
     from metafab.core.storage.files import file_sha256, fingerprint
     from metafab.fullwave.patch import PATCH_DECAY
-    from metafab.steps import open_library
+    from metafab.steps import mask_source, open_library
 
     require_positive("--size-um", size_um)
     with open_work() as (work, _):
         job = open_job(design, None, work)
         opened = open_library(job)
         plan = fullwave.plan_patch(
-            mask.read(layout, job.design, progress=work.progress).pillars,
+            mask_source(job, layout).pillars,
             opened,
             at_um,
             size_um,

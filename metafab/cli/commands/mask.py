@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -24,8 +25,12 @@ from metafab.cli.outputs import OutputFolder
 from metafab.core.errors import InputError
 
 if TYPE_CHECKING:
+    from metafab.drc import DrcReport
     from metafab.library import Library
     from metafab.steps.job import Job
+
+#: Places of each violated rule in the text of a check.
+_SHOWN_PLACES = 10
 
 
 @app.command("layout")
@@ -91,7 +96,10 @@ def drc_command(
     cluster: Cluster = None,
     json_: Json = False,
 ) -> None:
-    """Check the design rules on a written file; exit with 2 if any is violated."""
+    """Check the design rules on a written file; exit with 2 if any is violated.
+
+    The text lists the first ten places of each rule; --json, and the files of -o, list the first 1000.
+    """
     from metafab import drc, mask
     from metafab.spec import load_design
 
@@ -100,5 +108,11 @@ def drc_command(
         report = drc.check(layout, spec, engine=engine, work=work, copy=copy)
     if output is not None:
         drc.save([report], output, mask.top_name(spec.name))
-    show(report, json_)
+    announce(report.warnings())
+    show(report if json_ else with_first_places(report), json_)
     exit_on_violations(sum(report.violations.values()))
+
+
+def with_first_places(report: DrcReport) -> DrcReport:
+    """The report with ten places of each rule, so that its figures stay on the screen."""
+    return replace(report, markers={rule: places[:_SHOWN_PLACES] for rule, places in report.markers.items()})

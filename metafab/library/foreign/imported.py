@@ -3,7 +3,8 @@
 The sizes of the file are samples of smooth functions; the library holds their values on the grid of the unit cell's
 ``size_grid_nm`` between them. Between samples, local polyharmonic splines (radial basis functions r^3 with a linear
 polynomial) go through all of them. Their error is that of leaving samples out: each tenth of the samples is predicted
-from the others, which are then sparser than all samples, so that the prediction errs more than the library does.
+from the others, which are then sparser than all samples, so that the prediction errs more than the library does. Sizes
+of the file have no such error.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ _PARTS = 10
 _NEAR = 32
 #: Samples whose errors bound that of a point between them.
 _NEIGHBOURS = 6
-#: Distance within which a size is that of a sample (nm).
-_SAME_NM = 1e-3
+#: Distance within which a size is that of a sample (nm), and the error there: the rounding of the spline.
+_SAME_NM, _ROUNDING = 1e-3, 1e-9
 #: Largest power transmittance: 1, with the error of a rough solver.
 _MOST_POWER = 1.05
 #: Median error of predicted samples up to which no sweep is refused. Silicon at 800 nm in steps of 15, 20, 25 and 30 nm
@@ -219,9 +220,10 @@ def _on_grid(
     values = np.full((len(places), 2), np.nan, dtype=np.complex128)
     error = np.full(len(places), np.nan)
     values[inside] = _complex(_spline(lines, t)(points))
-    samples = cKDTree(lines)
-    error[inside] = missed[samples.query(points, k=min(_NEIGHBOURS, len(lines)))[1]].max(axis=1)
-    return values, error, float(np.mean(np.asarray(samples.query(points)[0]) > _SAME_NM))
+    distance_nm, nearest = cKDTree(lines).query(points, k=[*range(1, min(_NEIGHBOURS, len(lines)) + 1)])
+    between = np.asarray(distance_nm)[:, 0] > _SAME_NM
+    error[inside] = np.where(between, missed[nearest].max(axis=1), _ROUNDING)
+    return values, error, float(np.mean(between))
 
 
 def _in_hull(places: FloatArray, lines: FloatArray) -> NDArray[np.bool_]:

@@ -58,7 +58,7 @@ def read_sweep(path: Path) -> SweepTable:
     """Read a sweep; InputError if the file cannot be read, lacks a column, or has no finite row."""
     columns = _columns(path)
     sizes, has_diameters = _sizes(columns, path)
-    shape = np.broadcast_shapes(*(size.shape for size in sizes))
+    shape = _common_shape(sizes, path)
     one = _amplitude(columns, "t", path)
     t_xx = one if one is not None else _amplitude(columns, "t_xx", path)
     t_yy = None if one is not None else _amplitude(columns, "t_yy", path)
@@ -182,6 +182,19 @@ def _sizes(columns: Mapping[str, NDArray[np.generic]], path: Path) -> tuple[tupl
     if maps and width.ndim == length.ndim == 1:
         return (width[None, :], length[:, None]), False
     return (width, length), False
+
+
+def _common_shape(sizes: tuple[FloatArray, FloatArray], path: Path) -> tuple[int, ...]:
+    """Shape of the amplitudes over these widths and lengths; InputError if they do not belong together."""
+    width, length = sizes
+    try:
+        return np.broadcast_shapes(width.shape, length.shape)
+    except ValueError as error:
+        expected = (
+            "widths and lengths of one shape, or of shapes (n_width,) and (n_length,) beside maps (n_length, n_width)"
+        )
+        got = f"`width` of shape {width.shape}, `length` of shape {length.shape}"
+        raise InputError.single(str(path), "sizes", expected, got) from error
 
 
 def _require_moduli(values: NDArray[np.generic], column: str, path: Path) -> None:

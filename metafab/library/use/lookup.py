@@ -204,8 +204,10 @@ def phase_slope_per_nm(library: Library) -> FloatArray:
     rad per nm, for x and y polarisation at the design wavelength.
     """
     slope = np.zeros(library.t.shape)
+    off_diagonal = library.width_nm != library.length_nm[:, None]
+    is_diagonal = not library.known.all() and not library.known[off_diagonal].any()
     for channel, t in enumerate((library.t_xx[0], library.t_yy[0])):
-        if not library.known.all():  # circles, which grow along the diagonal
+        if is_diagonal:  # circles, or squares alone
             along = t.diagonal()
             turned = np.diag(_phase_change(_gradient(along, library.width_nm, 0), along))
             slope[..., channel] = np.where(library.known, turned, np.nan)
@@ -224,10 +226,21 @@ def _phase_change(change: ComplexArray, t: ComplexArray) -> FloatArray:
 
 
 def _gradient(t: ComplexArray, size_nm: FloatArray, axis: int) -> ComplexArray:
-    """Central differences along one axis, second order at its ends where there are three sizes."""
+    """Central differences along one axis, second order at its ends where there are three sizes.
+
+    Beside a size without amplitude (NaN) they are one-sided, and 0 between two of them.
+    """
     order: Literal[1, 2] = 2 if size_nm.size > 2 else 1
     gradient: ComplexArray = np.gradient(t, size_nm, axis=axis, edge_order=order)
-    return gradient
+    if np.isfinite(gradient).all():
+        return gradient
+    steps = np.diff(t, axis=axis) / np.expand_dims(np.diff(size_nm), 1 - axis)
+    for after in (1, 0):
+        ends = [(0, 0)] * t.ndim
+        ends[axis] = (1 - after, after)
+        one_sided = np.pad(steps, ends, constant_values=np.nan)
+        gradient = np.where(np.isfinite(gradient), gradient, one_sided)
+    return np.where(np.isfinite(gradient), gradient, 0.0)
 
 
 def _admitted(

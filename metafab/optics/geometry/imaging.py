@@ -76,9 +76,15 @@ class Imaging:
             crystal=crystal,
         )
 
-    def aimed_at(self, centre_um: tuple[float, float]) -> Imaging:
-        """Return the geometry with the windows of both polarisations about ``centre_um``, (x, y) from the axis."""
+    def aimed_at(self, centre_um: tuple[float, float], tangent: Tangent = (0.0, 0.0)) -> Imaging:
+        """Return the geometry with the windows of both polarisations about ``centre_um``, (x, y) from the axis.
+
+        They stand there for an object in the direction ``tangent``, (x/z, y/z).
+        """
         x, y = _cosines(centre_um, self.sensor_distance_um)
+        t_x, t_y = tangent
+        secant = math.sqrt(1.0 + t_x * t_x + t_y * t_y)
+        x, y = x + t_x / secant, y + t_y / secant
         split = math.sin(math.radians(self.split_angle_deg))
         return replace(self, deflection=((x + split, y), (x - split, y)))
 

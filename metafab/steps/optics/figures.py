@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 #: Share of the transmitted light in a window below which there is a warning, percent.
 _LEAST_HELD_PERCENT = 2.0
+#: Error of the amplitudes of made pillars above which there is a warning. Corners of silicon reach 0.06.
+_LARGEST_MADE_ERROR = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,8 +67,18 @@ class PairFigures:
         return self.light_at_um is None and not self.peak_on_edge
 
     def warnings(self) -> list[str]:
-        """Return sentences with their remedies: of a window that misses the light or cuts it, and of the neighbours."""
-        return [*self._of_window(), *([] if self.neighbour_warning is None else [self.neighbour_warning])]
+        """Return sentences on a window that misses the light or cuts it, on made pillars, and on neighbours."""
+        neighbours = [] if self.neighbour_warning is None else [self.neighbour_warning]
+        return [*self._of_window(), *self._of_made_pillars(), *neighbours]
+
+    def _of_made_pillars(self) -> list[str]:
+        """A sentence on made pillars whose light is hardly known."""
+        if self.made_error is None or not self.made_error > _LARGEST_MADE_ERROR:
+            return []
+        return [
+            f"the amplitudes of the made pillars are known to {100.0 * self.made_error:.2g} % (rms): some lie between "
+            "solved sizes and beside resonances. Efficiencies may be off by about as much"
+        ]
 
     def _of_window(self) -> list[str]:
         if self.light_at_um is None:

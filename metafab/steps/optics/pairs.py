@@ -86,8 +86,6 @@ def point_spread(
     target_error = verify.target_error if target_error is None else target_error
     if pixel_um is not None:
         imaging = replace(imaging, pixel_um=pixel_um)
-    if centre_um is not None:
-        imaging = imaging.aimed_at(centre_um)
     x_mm, y_mm = object_mm
     if (x_mm, y_mm) != (0.0, 0.0) and math.inf in depths_m:
         expected = "an object at a finite depth"
@@ -97,15 +95,17 @@ def point_spread(
     numerics = replace(optics.PsfNumerics.of(job.design), window_px=window_px, target_error=target_error)
     passes = [depths_m] if x_mm == y_mm == 0.0 else [(depth,) for depth in depths_m]
     tangents = [tangent or (1e-3 * x_mm / depths[0], 1e-3 * y_mm / depths[0]) for depths in passes]
-    for depths, direction in zip(passes, tangents, strict=True):
-        require_valid(imaging, depths, direction, None, numerics)  # before the mask is read
+    aimed = [imaging if centre_um is None else imaging.aimed_at(centre_um, tangent) for tangent in tangents]
+    for towards, depths, direction in zip(aimed, passes, tangents, strict=True):
+        require_valid(towards, depths, direction, None, numerics)  # before the mask is read
     source, made_error = source_of(job, lens, tangents=tangents)
     stacks = [
-        optics.psf(source, imaging, depths, numerics, tangent=tangent, work=job.work)
-        for depths, tangent in zip(passes, tangents, strict=True)
+        optics.psf(source, towards, depths, numerics, tangent=tangent, work=job.work)
+        for towards, depths, tangent in zip(aimed, passes, tangents, strict=True)
     ]
     middle = len(passes) // 2
-    return _stating(concatenate(stacks), made_error), light_elsewhere(source, imaging, stacks[middle], tangents[middle])
+    missed = light_elsewhere(source, aimed[middle], stacks[middle], tangents[middle])
+    return _stating(concatenate(stacks), made_error), missed
 
 
 def calibration(job: Job, lens: WrittenLens | None) -> Psf:

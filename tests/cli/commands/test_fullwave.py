@@ -1,4 +1,4 @@
-"""``metafab fullwave``: supercells of a file by each solver, and refusals by name."""
+"""``metafab fullwave``: supercells by each solver, refusals by name; pillars of ``coupling`` and ``patch``."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metafab import library
+from metafab import library, mask
 from metafab.cell.supercell import Supercell, SupercellOrders
 from metafab.cli import entry
+from metafab.cli.commands import fullwave
 from metafab.core.errors import SolverError
 from metafab.fullwave import blocks as solution
+from metafab.layout import PillarMap, lattice_of
 from metafab.library import Library
+from metafab.spec import load_design
 from tests.main_job import metafab
 
 KEYS = {"orders", "t_xx", "t_xy", "t_yx", "t_yy", "error", "seconds"}
@@ -146,3 +149,43 @@ def test_a_failed_command_names_its_block_and_the_next_one_goes_on(
     whole = metafab(*command).json["blocks"]
     for block, other in zip(answer, whole, strict=True):
         assert {**block, "seconds": 0.0} == {**other, "seconds": 0.0}
+
+
+@pytest.mark.parametrize("command", ["coupling", "patch"])
+def test_rows_and_patches_are_the_standing_pillars_of_a_biased_mask(
+    command: str, library_file: Path, smooth_library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The mask draws each pillar 10 nm wider and longer than it shall stand."""
+    design = tmp_path / "biased.toml"
+    design.write_text(
+        f"""
+        name = "biased"
+        library = "{library_file}"
+        device = {{ aperture_um = 7.0, focal_length_mm = 0.02 }}
+        phase = [{{ term = "lens" }}]
+        rules = {{ min_gap_nm = 100.0, min_feature_nm = 100.0 }}
+        mask = {{ formats = ["gds"], write_field_um = 499.8, bias_nm = 10.0 }}
+        sensor = {{ pixel_um = 0.5, focus_depth_m = 10.0 }}
+        verify = {{ depths_m = [10.0] }}
+        """,
+        encoding="utf-8",
+    )
+    spec = load_design(design)
+    sizes = np.array([[0, 0], [300, 400]], dtype=np.int32)
+    lattice = lattice_of(spec)
+    pillars = PillarMap.from_array(lattice, sizes, np.ones(lattice.shape, dtype=np.uint16), 20)
+    (file, *_) = mask.write(pillars, tmp_path, spec)
+    seen = []
+
+    def solve(standing: PillarMap, *_: object, **__: object) -> None:
+        seen.append(standing.size_nm()[1:].tolist())
+        raise SolverError("stopped here")
+
+    monkeypatch.setattr("metafab.fullwave.measure_coupling", solve)
+    monkeypatch.setattr("metafab.fullwave.plan_patch", solve)
+    with pytest.raises(SolverError):
+        if command == "coupling":
+            fullwave.coupling_command(file.path, design, ["0,0"])
+        else:
+            fullwave.patch_command(file.path, design, (0.0, 0.0), 1.0)
+    assert seen == [[[150.0, 200.0]]]

@@ -18,6 +18,7 @@ from metafab.core.errors import InputError
 from metafab.layout import Assignment, PillarMap
 from metafab.mask.oasis import reader
 from metafab.spec import Design
+from metafab.spec.mask.files import Copy
 from tests.layout.conftest import sizes_at_sites
 
 kdb = pytest.importorskip("klayout.db")
@@ -295,4 +296,28 @@ def test_shapes_that_are_no_pillars_are_refused_with_their_number_and_kind(
     read_back = mask.read(other, tiny_design)
     (kind,) = read_back.foreign
     with pytest.raises(InputError, match=f"got 2 of the kind {re.escape(kind)}; their light"):
+        read_back.require_pillars_alone("their light cannot be simulated")
+
+
+def test_a_lens_that_stands_elsewhere_is_refused_with_its_place(
+    tiny_design: Design, tiny_files: dict[str, Path], tmp_path: Path
+) -> None:
+    library, other, place_um = gdstk.read_gds(tiny_files["gds"]), tmp_path / "other.gds", (1234.567, -77.001)
+    chip = library.new_cell("chip")
+    chip.add(gdstk.Reference(next(cell for cell in library.top_level() if cell is not chip), place_um))
+    library.write_gds(other)
+    read_back = mask.read(other, tiny_design)
+    assert read_back.displaced_um == pytest.approx(place_um, abs=1e-6)
+    with pytest.raises(InputError, match=r"\(1234\.567, -77\.001\) um from their places.*`at_um`"):
+        read_back.require_pillars_alone("their light cannot be simulated")
+    assert "(1234.567, -77.001) um" in drc.check(other, tiny_design).warnings()[0]
+    stated = replace(tiny_design, mask=replace(tiny_design.mask, copies=(Copy(at_um=place_um),)))
+    assert mask.read(other, stated).displaced_um is None
+    _assert_pure(mask.read(other, stated))
+
+
+def test_pillars_on_another_layer_are_named(tiny_design: Design, tiny_files: dict[str, Path]) -> None:
+    other = replace(tiny_design, mask=replace(tiny_design.mask, layer=77))
+    read_back = mask.read(tiny_files["gds"], other)
+    with pytest.raises(InputError, match=r"none on its layer, and \d+ on 1/0.*`mask.layer`"):
         read_back.require_pillars_alone("their light cannot be simulated")

@@ -54,6 +54,17 @@ def test_noise_is_stated_as_the_error() -> None:
     assert 0.01 < _relative_l2(psf.psf, truth.psf) < figures.error < 0.1
 
 
+def test_counts_of_a_border_without_noise_have_the_error_of_rounding() -> None:
+    """Eight bits: the border is one count, and each pixel is rounded by 0.29 (rms)."""
+    y, x = np.mgrid[:48, :48]
+    angle = np.radians([20.0, 60.0, 100.0, 140.0])[:, None, None]
+    lobe = np.exp(-((x - 24.0 - 6.0 * np.cos(angle)) ** 2 + (y - 24.0 - 6.0 * np.sin(angle)) ** 2) / 5.0)
+    for stack, is_rounded in ((np.round(7.0 + 230.0 * lobe)[None], True), (7.0 + 230.5 * lobe[None], False)):
+        _, figures = psf_of_stack(stack, np.array([0.2, 0.25, 0.3, 0.35]), 3.45)
+        assert (figures.error > 1e-3) == is_rounded
+        assert figures.error < 0.03
+
+
 def test_integrated_pixels_become_samples() -> None:
     """The kernels of a stack of integrals are the stack itself; those of samples are integrated once more."""
     truth = turning_psf()

@@ -11,7 +11,7 @@ from metafab.core.conventions import ComplexArray, FloatArray
 from metafab.library import Library
 from metafab.library.surface import SizeResponse
 from metafab.tolerance.corner_fit import fitted_amplitudes
-from metafab.tolerance.corners import MaskSizes
+from metafab.tolerance.corners import MaskSizes, changed_amplitudes
 
 
 def _one(along: FloatArray, across: FloatArray, half_width_nm: float) -> ComplexArray:
@@ -71,3 +71,29 @@ def test_what_the_solver_misses_with_and_without_the_change_is_no_change(monkeyp
     missed = 0.9 * np.exp(0.2j)
     fitted, _ = sizes._fitted(_library(), missed * t[sample], missed * true[sample])
     assert np.linalg.norm(fitted - true) < 0.02 * np.linalg.norm(true)
+
+
+def test_an_amplitude_near_zero_before_the_change_does_not_raise_the_error_of_the_solver() -> None:
+    """A pillar of silicon nitride in its resonance: 0.0116 by the library, 2e-5 by the solver, 1.16 at the corner."""
+    t = np.array([[0.0116, 1.2], [1.1, 1.2]], dtype=np.complex128)
+    before = np.array([[2e-5, 1.2], [1.1, 1.2]], dtype=np.complex128)
+    after = np.array([[1.16, 1.0], [1.0, 0.7]], dtype=np.complex128)
+    factor = np.array([2.0j, 0.5])
+    changed, missed = changed_amplitudes(factor * t, before, after)
+    np.testing.assert_allclose(changed / factor, after, atol=0.0117)
+    np.testing.assert_allclose(missed / np.abs(factor), [[0.0116, 0.0], [0.0, 0.0]], atol=2e-4)
+
+
+def test_the_stated_error_of_solved_sizes_holds_their_resonances() -> None:
+    sizes = MaskSizes(
+        np.arange(2),
+        np.array([[150.0, 150.0], [200.0, 200.0]]),
+        np.array([3.0, 1.0]),
+        np.array([[0.02, 1.0], [1.0, 1.0]], dtype=np.complex128),
+        np.arange(2),
+        np.array([0, 1]),
+    )
+    before = np.array([[1e-6, 1.0], [1.0, 1.0]], dtype=np.complex128)
+    fitted, error = sizes._fitted(_library(), before, np.ones((2, 2), dtype=np.complex128))
+    assert np.abs(fitted).max() < 1.03
+    assert error == pytest.approx(0.02 * np.sqrt(3.0 / 5.0), rel=0.01)

@@ -69,6 +69,17 @@ def test_a_write_field_that_cuts_pillars_is_refused_with_the_nearest_that_do_not
         field_sites(_mask(small_design, write_field_um=500.0))
 
 
+def test_the_nearest_write_fields_hold_whole_numbers_of_both_periods(small_design: Design) -> None:
+    """500 um is a whole number of 400 nm, and not of 360 nm, of which 499.68 and 500.04 um are."""
+    cell = small_design.unit_cell
+    oblong = replace(cell, cell=replace(cell.cell, period_nm=(400.0, 360.0)))
+    with pytest.raises(
+        InputError, match=r"periods of 400 and of 360 nm, got 500 um.* of 360 nm; use 496\.8 or 500\.4 um"
+    ):
+        field_sites(replace(_mask(small_design, write_field_um=500.0), unit_cell=oblong))
+    field_sites(replace(_mask(small_design, write_field_um=500.4), unit_cell=oblong))
+
+
 def test_a_period_off_the_grid_is_refused(small_design: Design) -> None:
     with pytest.raises(InputError, match="whole number of database units"):
         lattice_of(_mask(small_design, database_unit_nm=0.3))

@@ -208,6 +208,15 @@ def test_degrees_in_a_column_of_radians_are_refused_at_the_sizes_of_the_file_too
         import_sweep(path, own, quantity="field")
 
 
+def test_widths_and_lengths_of_unlike_shapes_are_refused(cell: UnitCell, tmp_path: Path) -> None:
+    width_nm, length_nm = SIZES_NM[:, None], SIZES_NM[:9, None]  # columns, as a matrix program keeps them
+    np.savez(tmp_path / "sweep.npz", width_nm=width_nm, length_nm=length_nm, t=_t(SIZES_NM, SIZES_NM[:9, None]))
+    with pytest.raises(
+        InputError, match=r"`sizes`: expected .* got `width` of shape \(16, 1\), `length` of shape \(9, 1\)"
+    ):
+        import_sweep(tmp_path / "sweep.npz", cell, quantity="field")
+
+
 def test_a_size_given_twice_is_refused(cell: UnitCell, tmp_path: Path) -> None:
     width = np.repeat(SIZES_NM, 2)
     path = _rows(tmp_path / "twice.csv", "width_nm,length_nm,t_re,t_im", width, width, width / 999.0, 0.0 * width)
@@ -224,13 +233,18 @@ def test_a_coarse_sweep_serves_at_its_own_sizes_alone(cell: UnitCell, tmp_path: 
     own = replace(circles, sweep=replace(circles.sweep, size_grid_nm=15.0))
     found = import_sweep(path, own, quantity="field")
     assert found.t_xx[0].diagonal() == pytest.approx(t, abs=1e-9)
-    assert found.statistics.max_error > 0.5
+    assert found.statistics.held_out_error > 0.5
+    assert found.statistics.max_error < 1e-8
+    assert found.statistics.sizes_beyond_target == 0
     with pytest.raises(InputError, match="sizes between"):
         import_sweep(path, circles, quantity="field")
     # Less steep, it serves between its sizes as well, with the error that it states.
     t = 0.9 * np.exp(1.75j * np.arange(diameter.size))
     _rows(path, "diameter_nm,t_re,t_im", diameter, t.real, t.imag)
-    assert 0.5 < np.nanmedian(import_sweep(path, circles, quantity="field").error_of_sizes) < 2.0
+    between = import_sweep(path, circles, quantity="field")
+    assert 0.5 < np.nanmedian(between.error_of_sizes) < 2.0
+    own_sizes = np.isin(between.width_nm, diameter)
+    assert between.error_of_sizes.diagonal()[own_sizes].max() < 1e-8
 
 
 def test_a_transmittance_is_no_amplitude(cell: UnitCell, tmp_path: Path) -> None:

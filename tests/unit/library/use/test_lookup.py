@@ -116,6 +116,35 @@ def test_phase_slope_of_the_closed_form(smooth_library: Library) -> None:
     assert np.allclose(slope, 2.6 * math.pi / 150.0, rtol=5e-3)
 
 
+def _without(library: Library, missing: np.ndarray) -> Library:
+    """A library without the amplitudes of some sizes, shape (n_length, n_width)."""
+    t_xx, t_yy = (np.where(missing, np.nan, t) for t in (library.t_xx, library.t_yy))
+    error = np.where(missing, np.nan, np.broadcast_to(library.error, library.t_xx.shape))
+    return replace(library, t_xx=t_xx, t_yy=t_yy, error=error)
+
+
+@pytest.mark.parametrize("widths", [slice(None), slice(0, 40)])
+def test_phase_slope_beside_sizes_without_amplitude(smooth_library: Library, widths: slice) -> None:
+    """A sweep without its largest pillars, as wide as long or not, and a hole in it."""
+    fewer = replace(
+        smooth_library,
+        width_nm=smooth_library.width_nm[widths],
+        t_xx=smooth_library.t_xx[..., widths],
+        t_yy=smooth_library.t_yy[..., widths],
+        error=np.zeros_like(smooth_library.t_xx[..., widths].real),
+    )
+    missing = (fewer.width_nm > 150.0) & (fewer.length_nm[:, None] > 200.0)
+    missing[20, 20] = True
+    slope = phase_slope_per_nm(_without(fewer, missing))
+    assert np.allclose(slope[~missing], 2.6 * math.pi / 150.0, rtol=0.05)
+
+
+def test_phase_slope_of_squares_alone(smooth_library: Library) -> None:
+    on_diagonal = np.eye(smooth_library.width_nm.size, dtype=bool)
+    slope = phase_slope_per_nm(_without(smooth_library, ~on_diagonal))
+    assert np.allclose(slope[on_diagonal], 2.6 * math.pi / 150.0, rtol=5e-3)
+
+
 def test_a_cd_bias_moves_the_choice_to_calm_sizes(smooth_library: Library) -> None:
     """A ridge of steep phase is chosen for its phases nominally, and avoided under a bias."""
     steep = np.abs(np.arange(smooth_library.width_nm.size) - 40) < 4

@@ -55,6 +55,25 @@ def test_the_two_images_are_mirrored_in_opposite_directions(t_x: float, t_y: flo
     assert imaging.image_point_um(1, (t_x, t_y)) == pytest.approx((-x, y), abs=1e-9)
 
 
+@pytest.mark.parametrize("tangent", [(0.0, 0.0), (0.075, -0.05)])
+@pytest.mark.parametrize("split_deg", [0.0, 8.0])
+def test_a_window_stands_at_its_centre_whatever_the_direction_of_the_object(
+    tangent: tuple[float, float], split_deg: float
+) -> None:
+    optics = Imaging(
+        wavelength_um=0.8,
+        focal_length_mm=0.16,
+        split_angle_deg=split_deg,
+        sensor_distance_um=166.7,
+        pixel_um=0.3,
+        aperture_um=80.0,
+        deflection=((0.1, 0.0), (0.1, 0.0)),
+    )
+    aimed = optics.aimed_at((10.0, -12.0), tangent)
+    for polarisation in (0, 1):
+        assert aimed.image_point_um(polarisation, tangent) == pytest.approx((10.0, -12.0))
+
+
 def test_light_that_cannot_leave_is_refused() -> None:
     with pytest.raises(InputError, match="tangent"):
         Imaging(

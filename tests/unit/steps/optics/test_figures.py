@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from metafab.steps.optics.figures import PairFigures
@@ -33,3 +35,11 @@ def test_a_spot_far_wider_than_its_window_is_told(efficiency: float, is_told: bo
 def test_a_cut_image_is_told_once() -> None:
     (warning,) = figures(0.009, peak_on_edge=True).warnings()
     assert "lies on the edge of the window, which holds 1 % of" in warning
+
+
+@pytest.mark.parametrize(("made_error", "is_told"), [(None, False), (0.05, False), (0.357, True)])
+def test_made_pillars_of_hardly_known_light_are_told(made_error: float | None, is_told: bool) -> None:
+    warnings = replace(figures(0.5), made_error=made_error).warnings()
+    assert bool(warnings) == is_told
+    if is_told:
+        assert "known to 36 % (rms)" in warnings[0]
