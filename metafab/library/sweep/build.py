@@ -116,7 +116,9 @@ def expected_cells(unit_cell: UnitCell) -> tuple[int, int]:
     """
     grid, box = SizeGrid.of(unit_cell), CornerBox.of(unit_cell)
     distinct = grid.distinct.size
-    few, many = (distinct, distinct) if _solves_all(grid) else (min(_FEW_CELLS, distinct), min(_MANY_CELLS, distinct))
+    few = many = distinct
+    if not _solves_all(grid):
+        few, many = min(_FEW_CELLS, distinct), min(_MANY_CELLS, distinct + RoundLimits().most_sizes)
     dimensions = 0 if box is None else box.dimensions
     return few + CornerNumerics.first_round * dimensions, many + CornerNumerics.most_cells * dimensions
 

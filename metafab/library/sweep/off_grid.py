@@ -49,6 +49,11 @@ class RoundLimits:
     steep_sizes: int = 12  #: Sizes of a round at steep places: one answer counts for its neighbours as well.
     steep_rounds: int = 8  #: Rounds at steep places.
 
+    @property
+    def most_sizes(self) -> int:
+        """Number of sizes that all rounds together may solve."""
+        return self.disagreement_sizes * self.disagreement_rounds + self.steep_sizes * self.steep_rounds
+
 
 @dataclass(frozen=True)
 class OffGridSampling:

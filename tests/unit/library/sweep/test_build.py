@@ -129,6 +129,8 @@ def test_the_number_of_cells_is_stated_alone_where_every_size_is_solved(unit_cel
     assert library.expected_cells(unit_cell) == (100, 1100)
     small = replace(unit_cell, sweep=replace(unit_cell.sweep, width_nm=(100.0, 104.0), length_nm=(100.0, 104.0)))
     assert library.expected_cells(small) == (6, 6)
+    coarse = replace(unit_cell, sweep=replace(unit_cell.sweep, size_grid_nm=5.0))
+    assert library.expected_cells(coarse) == (100, 31 * 32 // 2 + 192), "all sizes, and those between them"
     circles = replace(unit_cell, cell=replace(unit_cell.cell, shape="circle"))
     assert library.expected_cells(circles) == (76, 76)
     # Two sizes and an angle.
