@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 
@@ -175,7 +176,8 @@ class Decoder:
         grid = self.calibration.grid
         maps = grid.tangent_x.nbytes * 5 + grid.resampler.nbytes
         optics = self.layer_optics.nbytes if "layer_optics" in vars(self) else 0
-        return self.calibration.stack.nbytes + self.filters.nbytes + self.deconvolver.nbytes + optics + maps
+        filters = self.filters.nbytes + (self.filters_in_place.nbytes if "filters_in_place" in vars(self) else 0)
+        return self.calibration.stack.nbytes + filters + self.deconvolver.nbytes + optics + maps
 
     def depth_map(self, frame: RawFrame) -> FloatArray:
         """Depth of each pixel from the window around it, without segments: shape (n_y, n_x), m; NaN for none."""
@@ -220,12 +222,27 @@ class Decoder:
         """The pair on the downsampled pixels, for the model of the frame along outlines and for small objects."""
         return LayerOptics.of(self.calibration, self.filters.downsampling)
 
+    @cached_property
+    def filters_in_place(self) -> CrossFilters:
+        """Filters that keep textures in their place, for continuous surfaces; computed with the first one."""
+        numerics, vergences, step = self.numerics, self.filters.vergences_per_m, self.filters.downsampling.step
+        compensate = numerics.compensate_space_variance
+        with one_blas_thread():
+            return CrossFilters.of(
+                self.calibration, vergences, numerics.basis_error, compensate=compensate, step=step, in_place=True
+            )
+
+    def volume_in_place(self, prepared: PreparedFrame) -> Callable[[], CostVolume]:
+        """Return the function that returns the cost volume of a frame's continuous surfaces, computed once."""
+        return cache(lambda: self.filters_in_place.volume(prepared.spectra, prepared.levels, prepared.lit, silent))
+
     def complete(self, prepared: PreparedFrame, volume: CostVolume) -> DecodedFrame:
         """Depths, segments and sharp images of a frame."""
+        in_place = self.volume_in_place(prepared)
         with kept_threads() as pool:
             tiles = pool.submit(self.tile_spectra, prepared)
-            pixels, regions = self.segment(prepared, volume)
-        return self.sharpen(prepared, volume, pixels, regions, tiles.result())
+            pixels, regions = self.segment(prepared, volume, in_place)
+        return self.sharpen(prepared, volume, pixels, regions, tiles.result(), in_place)
 
     def tile_spectra(self, prepared: PreparedFrame) -> TileSpectra:
         """Transforms of the tiles of a frame that are deconvolved."""
@@ -233,26 +250,53 @@ class Decoder:
         return self.deconvolver.tile_spectra(prepared.twins.image, near_light)
 
     def segment(
-        self, prepared: PreparedFrame, volume: CostVolume, *, surfaces: bool = True
+        self,
+        prepared: PreparedFrame,
+        volume: CostVolume,
+        in_place: Callable[[], CostVolume] | None = None,
+        *,
+        surfaces: bool = True,
     ) -> tuple[PixelDepth, Regions]:
-        """Depth of each pixel, and segments; ``surfaces``: whether continuous surfaces are sought."""
+        """Depth of each pixel, and segments.
+
+        ``in_place`` is :meth:`volume_in_place` of the frame, where others use it, too; ``surfaces``: whether continuous
+        surfaces are sought.
+        """
+        in_place = in_place or self.volume_in_place(prepared)
         pixels = textured_pixel_depth(prepared, volume)
         numerics = replace(self.numerics.segmentation, surfaces=surfaces)
         optics = self.layer_optics if numerics.refined and self.numerics.modelled else None
         filters = None if optics is None else self.filters
-        return pixels, find_regions(prepared, volume, pixels, numerics=numerics, optics=optics, filters=filters)
+        regions = find_regions(
+            prepared,
+            volume,
+            pixels,
+            numerics=numerics,
+            optics=optics,
+            filters=filters,
+            volume_in_place=in_place,
+        )
+        return pixels, regions
 
     def sharpen(
-        self, prepared: PreparedFrame, volume: CostVolume, pixels: PixelDepth, regions: Regions, tiles: TileSpectra
+        self,
+        prepared: PreparedFrame,
+        volume: CostVolume,
+        pixels: PixelDepth,
+        regions: Regions,
+        tiles: TileSpectra,
+        in_place: Callable[[], CostVolume] | None = None,
     ) -> DecodedFrame:
-        """Sharp images of a segmented frame, and outlines that follow them."""
+        """Sharp images of a segmented frame, and outlines that follow them; ``in_place`` as in :meth:`segment`."""
         step, shape = self.filters.downsampling.step, self.calibration.grid.shape
         label, vergences = focus_depths(prepared, regions, volume.vergences_per_m)
         depths = repeated(label, step, shape), vergences
         sharp = self.deconvolver(tiles, prepared.levels, *depths, prepared.twins.broken)
         # Moved outlines leave the sharp images: deconvolved again at the new depths, they would be 0.3 dB worse.
         lit = lit_pixels(prepared, sharp)
-        regions = surface_at_edges(regions, prepared, volume, sharp)
+        if regions.continuous:
+            in_place = in_place or self.volume_in_place(prepared)
+            regions = surface_at_edges(regions, prepared, in_place(), sharp)
         if self.numerics.refined:
             regions = moved_outlines(regions, sharp, step, lit)
         if self.numerics.refined and self.numerics.modelled:

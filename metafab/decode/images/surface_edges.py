@@ -21,7 +21,7 @@ def surface_at_edges(regions: Regions, prepared: PreparedFrame, volume: CostVolu
     Args:
         regions: segments.
         prepared: the frame.
-        volume: its cost volume.
+        volume: its cost volume, by filters that keep textures in their place.
         sharp: sharp images at the depths of ``regions``.
     """
     before, step = regions.surface_per_m, prepared.downsampling.step

@@ -3,6 +3,7 @@
 - ``levels``          brightness, noise and texture of a frame
 - ``filters``         matched filters of each candidate depth, in a low-rank basis: spectra -> CostVolume
 - ``filter_basis``    that basis: a few dozen kernels
+- ``centring``        shift of the filters that keeps filtered textures in their place
 - ``space_variance``  correction of the filters for the pair's change over the field
 - ``bias``            correction of the filters for the bias of the correlation's maximum
 - ``mixing``          products of the filtered twins, mixed block by block from the basis

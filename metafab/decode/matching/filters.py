@@ -23,6 +23,7 @@ from metafab.core.numeric.spectra import independent_samples
 from metafab.core.parallel.executor import kept_threads
 from metafab.core.parallel.progress import Progress
 from metafab.decode.matching.bias import unbiased, unbiased_places
+from metafab.decode.matching.centring import centred
 from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.matching.filter_basis import FilterBasis, frequencies, low_rank
 from metafab.decode.matching.levels import Levels, high_pass
@@ -73,6 +74,7 @@ class CrossFilters:
         *,
         compensate: bool = True,
         step: int | None = None,
+        in_place: bool = False,
     ) -> CrossFilters:
         """Compute the filters of a calibration.
 
@@ -81,13 +83,14 @@ class CrossFilters:
             basis_error: relative L2 error of the mixtures; a larger one is faster.
             compensate: whether to correct the filters for the pair's change over the field.
             step: pixels from one compared pixel to the next; by default :func:`coarsest_step`.
+            in_place: whether filtered textures keep their place (:mod:`metafab.decode.matching.centring`).
         """
         grid = calibration.grid
         step = step or coarsest_step(calibration)
         downsampling = Downsampling(step, grid.shape, grid.margin)
         steps = np.linspace(vergences_per_m[0], vergences_per_m[-1], 2 * vergences_per_m.size - 1)
         transfer = _transfer(calibration, steps, step)
-        filters, power = _cross_filters(calibration, transfer[:, ::2], step, compensate)
+        filters, power = _cross_filters(calibration, transfer[:, ::2], step, compensate, in_place)
         basis, of_field_points = low_rank(filters, power, step, basis_error)
         gradient = field_gradient(calibration) if compensate else None
         of_field_points = _unbiased(basis, of_field_points, transfer, gradient)
@@ -181,7 +184,7 @@ def _transfer(calibration: Calibration, vergences_per_m: FloatArray, step: int) 
 
 
 def _cross_filters(
-    calibration: Calibration, transfer: NDArray[np.complex64], step: int, compensate: bool
+    calibration: Calibration, transfer: NDArray[np.complex64], step: int, compensate: bool, in_place: bool
 ) -> tuple[NDArray[np.complex64], FloatArray]:
     """Each image's filter at each candidate and field point, and the mean power of the pair in the middle.
 
@@ -193,8 +196,10 @@ def _cross_filters(
     total = squared.sum(axis=0)
     total += _FAINTEST * total.max()
     filters = transfer[::-1] * np.sqrt(2.0 / total)
+    weight = _likelihood_weight(_TYPICAL, power, *_frequencies(transfer, step))
+    if in_place:
+        filters = centred(filters, transfer, weight, step)
     if compensate:
-        weight = _likelihood_weight(_TYPICAL, power, *_frequencies(transfer, step))
         filters = compensated(filters, transfer, total, weight, calibration, step)
     return filters, power.astype(np.float64)
 

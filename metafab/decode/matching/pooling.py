@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve1d
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
@@ -97,6 +98,12 @@ def opened_by_square(mask: NDArray[np.bool_], window: int) -> NDArray[np.bool_]:
     inner = slice(reach, -reach or None)
     outside = np.pad(~mask, reach, constant_values=True)
     return window_maxima(~window_maxima(outside, window)[inner, inner], window)
+
+
+def smoothed(pictures: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Pictures smoothed by (1, 2, 1) / 4 along both axes, shape (..., n_y, n_x); beyond an edge, its pixels repeat."""
+    weights = np.array([0.25, 0.5, 0.25])
+    return np.asarray(convolve1d(convolve1d(pictures, weights, axis=-1, mode="nearest"), weights, -2, mode="nearest"))
 
 
 def halved(pictures: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,6 +66,13 @@ class Segmentation:
     pixels: PixelDepth  #: Depth of each pixel.
     separation_per_m: float  #: Vergence by which layers differ.
     numerics: SegmentationNumerics = SegmentationNumerics()  #: Numerics.
+    #: Returns the cost volume of continuous surfaces, by filters that keep textures in place; None for ``volume``.
+    volume_in_place: Callable[[], CostVolume] | None = None
+
+    @property
+    def surface_volume(self) -> CostVolume:
+        """Cost volume of continuous surfaces."""
+        return self.volume if self.volume_in_place is None else self.volume_in_place()
 
     @property
     def layers(self) -> list[Plane]:
@@ -102,7 +110,7 @@ class Segmentation:
         cells = Cells.of(volume, self.pixels.claimed & prepared.lit, step, _SURFACE_CELL_PX)
         if cells.row.size > _MOST_SURFACE_CELLS:
             return None
-        surface = matched_surface(prepared, volume)
+        surface = matched_surface(prepared, self.surface_volume)
         vergence = surface.vergence_per_m
         at = np.rint(cells.row).astype(np.intp), np.rint(cells.column).astype(np.intp)
         error = np.full(at[0].shape, 0.1 * separation)

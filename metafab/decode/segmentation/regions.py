@@ -87,6 +87,7 @@ def find_regions(
     numerics: SegmentationNumerics = SegmentationNumerics(),
     optics: LayerOptics | None = None,
     filters: CrossFilters | None = None,
+    volume_in_place: Callable[[], CostVolume] | None = None,
 ) -> Regions:
     """Segment a frame, with the probability that each pixel is in the right segment.
 
@@ -98,8 +99,10 @@ def find_regions(
         optics: the pair, for outlines of a refined segmentation by the model of the frame, and for small objects;
             without, outlines stay where correlation puts them.
         filters: matched filters, for the depth of segments much dimmer than others; without, it is not measured again.
+        volume_in_place: returns the cost volume of continuous surfaces, by filters that keep textures in their place;
+            called where surfaces are sought. Without, ``volume`` is theirs.
     """
-    segments = first_segments(prepared, volume, pixels, known, numerics)
+    segments = first_segments(prepared, volume, pixels, known, numerics, volume_in_place)
     if segments.continuous:  # Each pixel has its own depth and probability.
         return segments
     regions = with_plain_objects(segments, prepared, volume)

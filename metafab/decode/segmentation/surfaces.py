@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -112,6 +112,7 @@ def first_segments(
     pixels: PixelDepth,
     known: Sequence[Plane],
     numerics: SegmentationNumerics,
+    volume_in_place: Callable[[], CostVolume] | None = None,
 ) -> Regions:
     """Segment a frame; depths still hold the outliers of their segments.
 
@@ -126,7 +127,7 @@ def first_segments(
     hardly anywhere off the surface, pixels keep the planes' depths. Arguments are those of
     :func:`metafab.decode.segmentation.regions.find_regions`.
     """
-    segmentation = Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), numerics)
+    segmentation = Segmentation(prepared, volume, pixels, layer_separation_per_m(volume), numerics, volume_in_place)
     if any(plane.tilted for plane in known):
         return segmentation.of_planes(list(known))
     coarse = segmentation.layers
@@ -164,7 +165,7 @@ def first_segments(
     off = np.abs(of_planes.vergence_per_m(inner) / surface.vergence_per_m(inner) - 1.0) > _OFF_SURFACE
     if off.sum() > _FEW_OFF * np.count_nonzero(inner):
         judge = needs_surface if wide else explains_better
-        return surface if judge(surface, regions, prepared, volume, pixels) else regions
+        return surface if judge(surface, regions, prepared, segmentation.surface_volume, pixels) else regions
     return of_planes if explains_better(of_planes, regions, prepared, volume, pixels) else regions
 
 

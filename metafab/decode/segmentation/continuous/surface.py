@@ -4,11 +4,13 @@ A window at an outline holds both sides of it. Of all windows that hold a pixel,
 lies on the pixel's own side (shiftable windows; Bobick and Intille, Int. J. Comput. Vision 33, 181, 1999). The pair
 blurs both sides into each other beyond any window: near outlines the twins fit neither depth, and prefer the wrong one.
 Once the light is known sharp, pixels count the less the worse they fit, and jumps are cheap at edges of the light.
+Windows then fade out at their sides, so that an outline that enters one does not count all at once. Before, they do
+not: a smoother surface takes the place of planes more often.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +20,7 @@ from metafab.decode.confidence import RIGHT_WITHIN
 from metafab.decode.matching.cost_volume import CostVolume, correlation
 from metafab.decode.matching.depth import parabolic_peak
 from metafab.decode.matching.levels import light_steps, log_light
-from metafab.decode.matching.pooling import window_maxima, window_means
+from metafab.decode.matching.pooling import smoothed, window_maxima, window_means
 from metafab.decode.matching.semi_global import summed_costs
 from metafab.decode.segmentation.continuous.local_planes import smoothed_levels
 from metafab.decode.segmentation.fit import FAINT, log_misfit, surface_window, texture_energy
@@ -80,10 +82,12 @@ def matched_surface(
 
     Args:
         prepared: the frame.
-        volume: its cost volume.
+        volume: its cost volume, by filters that keep textures in their place.
         before_per_m: shape (n_y, n_x), 1/depth of the surface at which ``light`` was made sharp.
         light: shape (2, n_y, n_x), sharp light of the downsampled pixels; without, all pixels and edges count alike.
     """
+    if light is not None:
+        volume = replace(volume, products=smoothed(volume.products))
     nodes = volume.vergences_per_m
     levels = np.linspace(nodes[0], nodes[-1], _LEVELS * (nodes.size - 1) + 1)
     misfit, cost = np.empty((2, *volume.shape, levels.size), dtype=np.float32)

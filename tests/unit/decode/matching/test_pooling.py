@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import binary_opening, maximum_filter, uniform_filter
 
-from metafab.decode.matching.pooling import halved, label_sums, opened_by_square, window_maxima, window_means
+from metafab.decode.matching.pooling import halved, label_sums, opened_by_square, smoothed, window_maxima, window_means
 
 
 def halved_plain(pictures: np.ndarray) -> np.ndarray:
@@ -28,6 +28,7 @@ def test_means_and_maxima_are_those_of_plain_filters(n_y: int, n_x: int, reach: 
     want = uniform_filter(pictures, (0, 0, window, window), mode="reflect")
     np.testing.assert_allclose(window_means(pictures, window), want, atol=1e-5)
     np.testing.assert_allclose(halved(pictures), halved_plain(pictures), atol=1e-5)
+    np.testing.assert_allclose(smoothed(pictures)[..., ::2, ::2], halved_plain(pictures), atol=1e-5)
     for picture in (pictures[0, 0], pictures[0, 0] > 1.0):
         np.testing.assert_array_equal(window_maxima(picture, window), maximum_filter(picture, window, mode="nearest"))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from metafab.decode.matching.cost_volume import CostVolume
 from metafab.decode.segmentation.continuous.surface import dimmer_than_around, matched_surface
 from metafab.decode.segmentation.regions import find_regions
 from tests.steep_ground import errors, matched, photographed
@@ -12,11 +13,16 @@ from tests.steep_ground import errors, matched, photographed
 def test_a_steep_ground_and_an_object_before_it_have_their_depths() -> None:
     decoder, frame = photographed()
     prepared, volume, pixels = matched(decoder, frame)
+    in_place = decoder.volume_in_place(prepared)
+    assert in_place() is in_place() and in_place().shape == volume.shape  # computed once
     of_windows = errors(decoder, frame, np.where(pixels.claimed, 1.0 / pixels.vergence_per_m, np.nan))
     # One depth for a window leans on a slope: measured 1.3 against 0.65 %, 0.31 % in the median. The disc's rim of
     # 190 px is 2 % of the pixels in a ring of a downsampled pixel, 15 % off on the wrong side: 0.3 % of the mean.
     of_surface = errors(decoder, frame, 1.0 / matched_surface(prepared, volume).vergence_per_m)
     assert of_surface.mean() < min(0.009, 0.6 * of_windows.mean()) and np.median(of_surface) < 0.004
+    used: list[CostVolume] = []
+    find_regions(prepared, volume, pixels, volume_in_place=lambda: used.append(in_place()) or used[-1])
+    assert used  # the surface is that of filters that keep textures in their place
     regions = find_regions(prepared, volume, pixels)
     # Two planes across the surface, with slopes measured along them, are hardly anywhere off it.
     assert len(regions.depths) <= 3 and any(one.plane.tilted for one in regions.depths)
