@@ -254,7 +254,7 @@ def _on_grid(
     error = np.full(len(places), np.nan)
     distance_nm, nearest = cKDTree(size_nm).query(places[inside], k=[*range(1, min(_NEIGHBOURS, len(lines)) + 1)])
     between = np.asarray(distance_nm)[:, :1] > _SAME_NM
-    values[inside] = np.where(between, _predicted(lines, t, points[inside]), t[nearest[:, 0]])
+    values[inside] = np.where(between, _predicted(lines, t, points[inside]), t[np.asarray(nearest)[:, 0]])
     error[inside] = np.where(between[:, 0], missed[nearest].max(axis=1), _ROUNDING)
     return values, error, float(np.mean(between))
 
