@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from html import escape
 from typing import Any
 
 from docutils import nodes
@@ -29,7 +30,7 @@ def _mathml(node: nodes.Element, *, as_block: bool) -> str:
         return str(tex2mathml(text, as_block=as_block))
     except (MathError, IndexError) as error:
         _LOG.warning("formula %r: %s", text, error, location=node)
-        return f"<code>{text}</code>"
+        return f"<code>{escape(text)}</code>"
 
 
 def setup(app: Any) -> dict[str, bool]:

@@ -129,6 +129,7 @@ def run_summary() -> RunSummary:
         points_solved=120,
         points_total=5776,
         max_error=1.7e-3,
+        rounds=3,
     )
     summary = RunSummary(
         name="closed_form",

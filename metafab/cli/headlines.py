@@ -51,11 +51,12 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
 def _of_library(library: LibraryFigures, layout: LayoutFigures | None) -> dict[str, str]:
     """Error of the sizes that the mask uses, weighted by pillars, beside the worst of them; range of phases."""
     lines: dict[str, str] = {}
+    alone = ", without that of the imported sweep" if library.is_imported else ""
     if layout is not None and layout.library_error is not None:
-        worst = f"{layout.worst_library_error:.2g} at worst"
+        worst = f"{layout.worst_library_error:.2g} at worst{alone}"
         lines["library error"] = f"{layout.library_error:.2g} of complex t (rms over the pillars), {worst}"
     elif not isnan(library.max_error):
-        lines["library error"] = f"{library.max_error:.2g} of complex t at most"
+        lines["library error"] = f"{library.max_error:.2g} of complex t at most{alone}"
     lines["phase reach"] = f"{library.coverage_rad:.3g} rad"
     return lines
 

@@ -60,7 +60,7 @@ def check_lattice(read_back: ReadBack, design: Design, work: Work = Work()) -> D
         min_gap_nm=float(smallest_dbu * design.mask.database_unit_nm) if measured else None,
         other_layers=read_back.other_layers,
         other_copies=read_back.other_copies,
-        displaced_um=read_back.displaced_um,
+        stands_at_um=read_back.stands_at_um,
         pillars_sha256=digest.hexdigest(),
     )
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from metafab.core.storage.files import untimed, whole_file, write_json
 from metafab.drc.rules import RULES
-from metafab.mask.read import displacement_remedy
+from metafab.mask.read import place_remedy
 
 Engine = Literal["lattice", "rectangles", "polygons"]
 
@@ -48,8 +48,8 @@ class DrcReport:
     other_layers: dict[str, int] = field(default_factory=dict)
     #: Number of pillars of the other copies of the lens, by number from 1, if one copy was checked.
     other_copies: dict[int, int] = field(default_factory=dict)
-    #: Place of the pillars from their sites, (x, y), if ``lattice`` finds all of them elsewhere by the same distance.
-    displaced_um: tuple[float, float] | None = None
+    #: Centre of the lens in the file, (x, y), if ``lattice`` finds no pillar at a site of the design.
+    stands_at_um: tuple[float, float] | None = None
     #: Hash of the size at every lattice site, equal for equal masks in either format; empty for an engine without a
     #: lattice.
     pillars_sha256: str = ""
@@ -57,9 +57,9 @@ class DrcReport:
 
     def warnings(self) -> list[str]:
         """Return a sentence on a lens that stands elsewhere than in the design, with its remedy."""
-        if self.displaced_um is None:
+        if self.stands_at_um is None:
             return []
-        return [f"no pillar is at a site of the lens; {displacement_remedy(self.displaced_um)}"]
+        return [f"no pillar is at a site of the lens; {place_remedy(self.stands_at_um)}"]
 
     @property
     def clean(self) -> bool:

@@ -118,8 +118,8 @@ def field_sites(design: Design) -> tuple[int, int]:
             common_nm = _common_nm(periods_nm, design.mask.database_unit_nm)
             below = max(1, math.floor(field_nm / common_nm))
             expected = f"a whole number of periods of {' and of '.join(f'{p:g}' for p in dict.fromkeys(periods_nm))} nm"
-            got = f"{design.mask.write_field_um:g} um, {field_nm / period_nm:.6g} periods of {period_nm:g} nm"
-            remedy = f"use {below * common_nm * 1e-3:.6g} or {(below + 1) * common_nm * 1e-3:.6g} um"
+            got = f"{design.mask.write_field_um:.10g} um, {field_nm / period_nm:.6g} periods of {period_nm:g} nm"
+            remedy = f"use {below * common_nm * 1e-3:.10g} or {(below + 1) * common_nm * 1e-3:.10g} um"
             raise InputError.single(design.name, "mask.write_field_um", expected, got, remedy)
         sites.append(count)
     if not hexagonal:

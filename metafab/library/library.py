@@ -18,8 +18,9 @@ from metafab.core.storage.files import fingerprint
 from metafab.core.storage.provenance import contents_sha256, sources_sha256
 from metafab.library.axes import Corner, CornerBox, Corners, corner_cell, corner_unit_cell
 from metafab.library.fit.rational import RationalModel
+from metafab.library.fit.size_grid import SMALLEST_SURFACE
 from metafab.library.neighbours.model import Neighbours
-from metafab.library.surface import SMALLEST_SURFACE, SizeResponse, Surface
+from metafab.library.surface import SizeResponse, Surface
 from metafab.spec import UnitCell
 from metafab.spec.toml import LIBRARY_FORMAT
 

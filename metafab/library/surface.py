@@ -22,8 +22,6 @@ from metafab.core.parallel.executor import default_workers, one_blas_thread
 from metafab.library.fit.rational import RationalModel
 from metafab.library.fit.size_grid import refined_axis
 
-#: Smallest number of widths and of lengths of a surface.
-SMALLEST_SURFACE = 4
 #: Share of the library's target error that the spline may add, unless the finest tiles are reached first.
 SPLINE_SHARE = 0.1
 #: Number of sizes that one thread evaluates at a time.

@@ -82,8 +82,8 @@ class ReadBack(Displayed):
         }
 
     @property
-    def displaced_um(self) -> tuple[float, float] | None:
-        """Place of the pillars from their sites in the design, (x, y), if no pillar lies at a site.
+    def stands_at_um(self) -> tuple[float, float] | None:
+        """Centre of the lens in the file, (x, y), if no pillar lies at a site of the design.
 
         None if some do, if there are too many to keep the places of all, or if they extend over another area than the
         lattice.
@@ -96,7 +96,7 @@ class ReadBack(Displayed):
         sites_um = lattice.x_um()[[0, -1]], lattice.y_um()[[0, -1]]
         if not np.allclose(high - low, [1e3 * np.ptp(axis) for axis in sites_um], rtol=0.0, atol=1e-3):
             return None
-        x_um, y_um = np.round(1e-3 * (0.5 * (low + high) - self.at_nm), 6).tolist()
+        x_um, y_um = np.round(0.5e-3 * (low + high), 6).tolist()
         return x_um, y_um
 
     @property
@@ -118,8 +118,8 @@ class ReadBack(Displayed):
         got = ", ".join(f"{count} {where}" for where, count in unplaced.items() if count)
         if got:
             expected = "rectangles at lattice sites and nothing else on the pillar layer"
-            if (displaced_um := self.displaced_um) is not None:
-                remedy = displacement_remedy(displaced_um)
+            if (at_um := self.stands_at_um) is not None:
+                remedy = place_remedy(at_um)
             raise InputError.single(str(self.path), "pillars", expected, got, remedy)
         if not self._has_pillars:
             expected, remedy = "at least one at a site of the lens", "read the mask with its own design"
@@ -129,12 +129,12 @@ class ReadBack(Displayed):
             raise InputError.single(str(self.path), "pillars", expected, got or "none", remedy)
 
 
-def displacement_remedy(displaced_um: tuple[float, float]) -> str:
-    """Return a sentence on pillars that all lie elsewhere than at their sites, by (x, y)."""
-    x, y = (f"{value:.10g}" for value in displaced_um)
+def place_remedy(at_um: tuple[float, float]) -> str:
+    """Return a sentence on a lens that stands elsewhere than in the design: about ``at_um``, (x, y)."""
+    x, y = (f"{value:.10g}" for value in at_um)
     return (
-        f"they stand as far apart as in the design, and ({x}, {y}) um from their places there: name the place of the "
-        "lens by `at_um` in `[[mask.copies]]`"
+        f"the pillars stand as far apart as in the design, about ({x}, {y}) um: name this place by `at_um` in "
+        "`[[mask.copies]]`"
     )
 
 

@@ -28,8 +28,10 @@ FEWEST_DEPTHS = 3
 _SMALLEST_PX = 8
 #: Width of the border that measures the background, as a share of the shorter side.
 _BORDER = 1.0 / 16.0
-#: Standard deviation of rounding to whole counts.
+#: Standard deviation of rounding to whole levels, in levels.
 _ROUNDING = 1.0 / math.sqrt(12.0)
+#: Largest count of a camera; larger whole numbers are no counts.
+_LARGEST_COUNT = 2.0**53
 #: Standard deviations of the border's noise below which a pixel counts as dark.
 _SIGMAS = 3.0
 #: Standard deviations of noise that no pixel of a dark picture exceeds: of 10^6 pixels, 0.001 do by chance.
@@ -131,8 +133,8 @@ def psf_of_stack(
     made += assumed
     offset_um = pixel_um * np.array(centres if channels == 2 else [(0.0, 0.0)] * 2)
     places = offset_um + 0.5 * np.array([[-1.0], [1.0]]) * np.array(split_um)
-    # Noise, of whole counts at least their rounding, against the signal of each picture; y made of x has the same.
-    of_each = np.maximum(noise, _ROUNDING) if np.array_equal(stack, np.rint(stack)) else noise
+    # Noise, at least the rounding of levels, against the signal of each picture; y made of x has the same.
+    of_each = np.maximum(noise, _ROUNDING * _level(stack))
     error = (of_each * math.sqrt(n_y * n_x) / np.linalg.norm(lit, axis=(-2, -1))).max(axis=0)
     crowded = float(((lit * _border((n_y, n_x))).sum(axis=(-2, -1)) / lit.sum(axis=(-2, -1))).max())
     psf = Psf(
@@ -277,6 +279,13 @@ def _border(shape: tuple[int, int]) -> FloatArray:
     border = np.ones(shape)
     border[width:-width, width:-width] = 0.0
     return border
+
+
+def _level(stack: FloatArray) -> float:
+    """Step between the levels of whole counts, such as 16 for 12 bits stored in the upper bits of 16; 0 for others."""
+    if not np.array_equal(stack, np.rint(stack)) or np.abs(stack).max() > _LARGEST_COUNT:
+        return 0.0
+    return float(np.gcd.reduce(stack.astype(np.int64), axis=None))
 
 
 def _without_background(stack: FloatArray, depth_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

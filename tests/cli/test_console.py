@@ -254,6 +254,9 @@ def test_a_run_is_told_in_a_dozen_lines_and_names_its_report(tmp_path: Path) -> 
     assert summary.library is not None
     unstated = replace(summary, layout=None, library=replace(summary.library, max_error=math.nan))
     assert "library error" not in headlines(unstated, tmp_path)
+    imported = replace(summary, library=replace(summary.library, rounds=0))
+    assert headlines(imported, tmp_path)["library error"].endswith("without that of the imported sweep")
+    assert "imported" not in lines["library error"]
     unprinted = replace(summary, exposure=PrintedFigures(math.nan, math.nan, 7213, 1e-4))
     assert headlines(unprinted, tmp_path)["printed sizes"] == "no pillar prints with one dose"
 

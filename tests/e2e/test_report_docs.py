@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import re
 import shlex
 import subprocess
@@ -110,6 +111,14 @@ def test_no_formula_is_broken_by_a_line_that_begins_a_list(page: Path) -> None:
     text = re.sub(r"```.*?```|`[^`]*`|\$\$.*?\$\$", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
     blocks = re.split(r"\n\s*\n|\n(?=\s*[-*+] )", text)
     assert not [block for block in blocks if block.count("$") % 2]
+
+
+def test_a_formula_that_cannot_be_drawn_stands_as_it_was_written(monkeypatch: pytest.MonkeyPatch) -> None:
+    nodes = pytest.importorskip("docutils.nodes")
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    native_math = importlib.import_module("native_math")
+    assert "<mo>&lt;</mo>" in native_math._mathml(nodes.math("", "a < b"), as_block=False)
+    assert native_math._mathml(nodes.math("", r"\mystery{a} < b"), as_block=False) == r"<code>\mystery{a} &lt; b</code>"
 
 
 def test_every_page_is_reached() -> None:

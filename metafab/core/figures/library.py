@@ -27,6 +27,11 @@ class BuildStatistics:
     #: Covered part of the phase circle (:func:`metafab.library.use.quality.coverage_rad`).
     coverage_rad: float = math.nan
 
+    @property
+    def is_imported(self) -> bool:
+        """Whether another program solved the sizes, whose own error is in no error bound."""
+        return self.points_solved > 0 and self.rounds == 0
+
 
 @dataclass(frozen=True)
 class CornerStatistics:

@@ -15,6 +15,9 @@ from metafab.spec.cell import Sweep, UnitCell
 
 IndexArray = NDArray[np.intp]
 
+#: Smallest number of widths and of lengths that models and surfaces are fitted to.
+SMALLEST_SURFACE = 4
+
 # The plastic number: steps of 1/g and 1/g^2 fill the unit square evenly (Roberts' R2 sequence).
 _PLASTIC = 1.32471795724474602596
 
@@ -39,6 +42,11 @@ class SizeGrid:
         exchange = is_square(unit_cell) and sweep.width_nm == sweep.length_nm
         diagonal = unit_cell.cell.is_round
         return cls(_axis(sweep, sweep.width_nm), _axis(sweep, sweep.length_nm), exchange, diagonal)
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether every size is solved: those of circles, or of a few widths or lengths, which no model connects."""
+        return self.diagonal or min(self.shape) < SMALLEST_SURFACE
 
     @property
     def size(self) -> int:

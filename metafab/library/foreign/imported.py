@@ -3,8 +3,8 @@
 The sizes of the file are samples of smooth functions; the library holds their values on the grid of the unit cell's
 ``size_grid_nm`` between them. Between samples, local polyharmonic splines (radial basis functions r^3 with a linear
 polynomial) go through all of them. Their error is that of leaving samples out: each tenth of the samples is predicted
-from the others, which are then sparser than all samples, so that the prediction errs more than the library does. Sizes
-of the file have no such error.
+from the others, which are then sparser than all samples, so that the prediction errs more than the library does. Where
+one side has wider steps than the other, so is each of its lines of samples. Sizes of the file have no such error.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
-from scipy.spatial import Delaunay, QhullError, cKDTree
+from scipy.spatial import Delaunay, cKDTree
 
 from metafab.cell import is_square, pillar_cell
 from metafab.core.conventions import ComplexArray, FloatArray
@@ -33,11 +33,14 @@ from metafab.spec import UnitCell
 _FEWEST = 8
 #: Parts of the cross-validation.
 _PARTS = 10
-#: Samples near a point that its spline uses.
+#: Samples near a point that its spline uses; more where these lie on one line.
 _NEAR = 32
 #: Samples whose errors bound that of a point between them.
 _NEIGHBOURS = 6
-#: Distance within which a size is that of a sample (nm), and the error there: the rounding of the spline.
+#: Ratio of the mean steps of both sides from which a left out sample has no neighbour as far away as the wide step:
+#: one step of a row is twice as wide without a sample.
+_WIDE = 1.5
+#: Distance within which a size is that of a sample (nm), and the error there: the rounding of units and of decimals.
 _SAME_NM, _ROUNDING = 1e-3, 1e-9
 #: Largest power transmittance: 1, with the error of a rough solver.
 _MOST_POWER = 1.05
@@ -68,9 +71,8 @@ def import_sweep(
     _require_sizes(table, unit_cell, path)
     size_nm, t = _samples(table, unit_cell, path, quantity, time_sign)
     cell, grid = _grid(unit_cell, size_nm, path)
-    lines = size_nm[:, :1] if grid.diagonal else size_nm
-    missed = _left_out_errors(lines, t)
-    values, error, share_between = _on_grid(grid, lines, t, missed)
+    missed = _left_out_errors(_coordinates(size_nm, size_nm)[0], t)
+    values, error, share_between = _on_grid(grid, size_nm, t, missed)
     median, spread = (float(np.median(each)) for each in (missed, np.abs(t - t.mean(axis=0)).max(axis=1)))
     if share_between > 0.5 and median > max(_HARMLESS, spread):
         expected = f"amplitudes that those of like sizes predict better than their mean does, to {spread:.2g} (median)"
@@ -93,7 +95,7 @@ def import_sweep(
     )
     known = np.isfinite(error)
     statistics = BuildStatistics(
-        points_solved=len(lines),
+        points_solved=len(size_nm),
         points_total=int(known.sum()),
         points_left_out=table.left_out,
         max_error=float(error[known].max()),
@@ -172,64 +174,93 @@ def _grid(unit_cell: UnitCell, size_nm: FloatArray, path: Path) -> tuple[UnitCel
     return cell, SizeGrid.of(cell)
 
 
-def _spline(lines: FloatArray, t: ComplexArray) -> RBFInterpolator:
-    """Spline of t, shape (n, 2), through points, shape (n, 1) or (n, 2); real and imaginary parts side by side."""
-    parts = np.concatenate([t.real, t.imag], axis=1)
-    return RBFInterpolator(lines, parts, neighbors=min(_NEAR, len(lines)), kernel="cubic", degree=1)
+def _coordinates(size_nm: FloatArray, places: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Coordinates of places, shape (m, 2), for the spline over samples ``size_nm``, shape (n, 2).
+
+    They are (m, 2), widths and lengths, or (m, 1), distances (nm) along the line that holds all samples: circles,
+    squares, one width or one length. The mask, shape (m,), is True on that line, and everywhere without one.
+    """
+    offset = size_nm - size_nm[0]
+    direction = offset[np.argmax(np.hypot(*offset.T))] / np.hypot(*offset.T).max()
+    normal = np.array([-direction[1], direction[0]])
+    if np.abs(offset @ normal).max() > _SAME_NM:
+        return places, np.ones(len(places), dtype=bool)
+    away = places - size_nm[0]
+    return (away @ direction)[:, None], np.abs(away @ normal) <= _SAME_NM
+
+
+def _predicted(lines: FloatArray, t: ComplexArray, points: FloatArray) -> ComplexArray:
+    """Spline of t, shape (n, 2), through samples, shape (n, 1) or (n, 2), at points: shape (m, 2)."""
+    parts, near = np.concatenate([t.real, t.imag], axis=1), min(_NEAR, len(lines))
+    while True:
+        try:
+            found = RBFInterpolator(lines, parts, neighbors=near, kernel="cubic", degree=1)(points)
+            break
+        except np.linalg.LinAlgError:  # the samples near a point lie on one line
+            if near == len(lines):
+                found = RBFInterpolator(lines, parts, neighbors=near, kernel="linear", degree=0)(points)
+                break
+            near = min(2 * near, len(lines))
+    return np.asarray(found[:, :2] + 1j * found[:, 2:])
 
 
 def _left_out_errors(lines: FloatArray, t: ComplexArray) -> FloatArray:
-    """Largest |error| of both polarisations at each sample when it is predicted without its tenth, shape (n,).
+    """Largest |error| of both polarisations at each sample when it is predicted without others, shape (n,).
 
+    It is left out with a tenth of the samples and, where one side has wider steps, with all of the same size there.
     Samples in the corners of the range, where a prediction extrapolates, take the error of the nearest predicted one.
     """
+    is_end = (lines == lines.min(axis=0)) | (lines == lines.max(axis=0))
     part = np.random.default_rng(1).permutation(len(lines)) % min(_PARTS, len(lines))
-    low, high = lines.min(axis=0), lines.max(axis=0)
-    inner = ~((lines == low) | (lines == high)).all(axis=1)
-    missed = np.full(len(lines), np.nan)
-    for number in range(part.max() + 1):
-        out = (part == number) & inner
-        if out.any():
-            missed[out] = np.abs(_complex(_spline(lines[part != number], t[part != number])(lines[out])) - t[out]).max(
-                1
-            )
-    predicted = np.isfinite(missed)
-    if not predicted.any():
-        return np.full(len(lines), np.abs(t - t.mean(axis=0)).max())
-    if not predicted.all():
-        missed[~predicted] = missed[predicted][cKDTree(lines[predicted]).query(lines[~predicted])[1]]
+    missed = _missed(lines, t, part, ~is_end.all(axis=1))
+    ranks = [np.unique(axis, return_inverse=True)[1] for axis in lines.T]
+    step_nm = np.ptp(lines, axis=0) / [rank.max() for rank in ranks]
+    for axis in np.flatnonzero(step_nm > _WIDE * step_nm.min()):
+        missed = np.maximum(missed, _missed(lines, t, ranks[axis] % _PARTS, ~is_end[:, axis]))
     return missed
 
 
-def _complex(parts: FloatArray) -> ComplexArray:
-    """Inverse of the parts of :func:`_spline`, shape (n, 4) -> (n, 2)."""
-    return np.asarray(parts[:, :2] + 1j * parts[:, 2:])
+def _missed(lines: FloatArray, t: ComplexArray, part: NDArray[np.intp], inner: NDArray[np.bool_]) -> FloatArray:
+    """Largest |error| of ``inner`` samples predicted from those of all other parts, shape (n,) each.
+
+    Other samples take that of the nearest inner one; without any, all take the largest deviation from the mean.
+    """
+    if not inner.any():
+        return np.full(len(lines), np.abs(t - t.mean(axis=0)).max())
+    missed = np.empty(len(lines))
+    for number in np.unique(part[inner]):
+        left_out, known = (part == number) & inner, part != number
+        missed[left_out] = np.abs(_predicted(lines[known], t[known], lines[left_out]) - t[left_out]).max(axis=1)
+    if not inner.all():
+        missed[~inner] = missed[inner][cKDTree(lines[inner]).query(lines[~inner])[1]]
+    return missed
 
 
 def _on_grid(
-    grid: SizeGrid, lines: FloatArray, t: ComplexArray, missed: FloatArray
+    grid: SizeGrid, size_nm: FloatArray, t: ComplexArray, missed: FloatArray
 ) -> tuple[ComplexArray, FloatArray, float]:
     """Amplitudes, shape (n, 2), and errors, shape (n,), of all sizes of the grid, NaN outside the samples' hull.
 
     The third is the share of the sizes within the hull that lie between samples.
     """
     width, length = (axis.ravel() for axis in np.meshgrid(grid.width_nm, grid.length_nm))
-    places = np.stack([width, length], axis=1)
-    inside = width == length if grid.diagonal else _in_hull(places, lines)
-    points = places[inside][:, : lines.shape[1]]
+    places, (lines, _) = np.stack([width, length], axis=1), _coordinates(size_nm, size_nm)
+    points, inside = _coordinates(size_nm, places)
+    inside &= _in_hull(points, lines)
+    if not inside.any():
+        expected, remedy = "a step from the smallest width and length to sizes of the file", "use the step of the file"
+        raise InputError.single("unit cell", "sweep.size_grid_nm", expected, "none", remedy)
     values = np.full((len(places), 2), np.nan, dtype=np.complex128)
     error = np.full(len(places), np.nan)
-    values[inside] = _complex(_spline(lines, t)(points))
-    distance_nm, nearest = cKDTree(lines).query(points, k=[*range(1, min(_NEIGHBOURS, len(lines)) + 1)])
-    between = np.asarray(distance_nm)[:, 0] > _SAME_NM
-    error[inside] = np.where(between, missed[nearest].max(axis=1), _ROUNDING)
+    distance_nm, nearest = cKDTree(size_nm).query(places[inside], k=[*range(1, min(_NEIGHBOURS, len(lines)) + 1)])
+    between = np.asarray(distance_nm)[:, :1] > _SAME_NM
+    values[inside] = np.where(between, _predicted(lines, t, points[inside]), t[np.asarray(nearest)[:, 0]])
+    error[inside] = np.where(between[:, 0], missed[nearest].max(axis=1), _ROUNDING)
     return values, error, float(np.mean(between))
 
 
-def _in_hull(places: FloatArray, lines: FloatArray) -> NDArray[np.bool_]:
-    """Mask of the places within the convex hull of the samples, its edge included."""
-    try:
-        hull = Delaunay(lines)
-    except QhullError:  # samples on one line
-        return np.asarray(cKDTree(lines).query(places)[0] < _SAME_NM)
-    return np.asarray(hull.find_simplex(places, tol=1e-9) >= 0)
+def _in_hull(points: FloatArray, lines: FloatArray) -> NDArray[np.bool_]:
+    """Mask of the points within the convex hull of the samples, its edge included."""
+    if lines.shape[1] == 1:
+        return np.asarray((points >= lines.min() - _SAME_NM) & (points <= lines.max() + _SAME_NM))[:, 0]
+    return np.asarray(Delaunay(lines).find_simplex(points, tol=1e-9) >= 0)

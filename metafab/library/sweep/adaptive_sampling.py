@@ -150,7 +150,7 @@ def sample_grid(
     first_round: int = FIRST_ROUND,
 ) -> GridSampling:
     """Solve sizes until the model's error estimate is within the tolerance at every other size."""
-    batch = grid.space_filling if grid.diagonal else grid.space_filling[:first_round]
+    batch = grid.space_filling if grid.is_narrow else grid.space_filling[:first_round]
     # The solver's first answers show whether it gives slopes.
     part = batch[:FIRST_WITH_SLOPES] if batch.size < grid.distinct.size else batch
     solved = solve_sizes(part, batch.size)

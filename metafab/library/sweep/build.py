@@ -125,14 +125,15 @@ def expected_cells(unit_cell: UnitCell) -> tuple[int, int]:
 
 def _solves_all(grid: SizeGrid) -> bool:
     """Whether the first round of :func:`sample_grid` solves every size."""
-    return grid.diagonal or grid.distinct.size <= FIRST_ROUND
+    return grid.is_narrow or grid.distinct.size <= FIRST_ROUND
 
 
 def solver_target(unit_cell: UnitCell, *, every_size: bool = False) -> float:
     """Target error of the solver at the sizes of the grid; smaller where RCWA's answers are fitted by models.
 
-    Round pillars, and grids of no more sizes than the first round, need no model: the solver gets its share as well,
-    unless models of corners are fitted. ``every_size`` is :attr:`BuildNumerics.every_size`, a reference for models.
+    Round pillars, a few widths or lengths, and grids of no more sizes than the first round need no model: the solver
+    gets its share as well, unless models of corners are fitted. ``every_size`` is :attr:`BuildNumerics.every_size`, a
+    reference for models.
     """
     target = unit_cell.sweep.target_error
     share = SOLVER_SHARE * target

@@ -311,7 +311,7 @@ def library(run: RunFolder, drawn: Drawn) -> str:
         else {
             "sizes": figures.points_total or None,
             "solved sizes": figures.points_solved or None,
-            "largest error of t": figures.max_error,
+            "largest error of interpolation" if figures.is_imported else "largest error of t": figures.max_error,
             "phase reach / rad": figures.coverage_rad,
         }
     )

@@ -89,12 +89,15 @@ def _pillar_lines(summary: RunSummary) -> list[BudgetLine]:
     library_error, phase_error_rad = _errors_of_mask(library, layout)
     worst = ", in the worst light" if layout is not None and layout.lights else ""
     index_error_rad = None if library is None else library.index_phase_error_rad
+    is_imported = library is not None and library.is_imported
+    parts = "interpolation of the sweep" if is_imported else "certificate of the truncation plus interpolation"
+    unknown = "; the error of the program that solved it is not known" if is_imported else ""
     return [
         BudgetLine(
-            "solver and library",
+            "interpolation of the library" if is_imported else "solver and library",
             library_error,
             "complex t",
-            f"rms over the pillars of the bound of each size: certificate of the truncation plus interpolation{worst}",
+            f"rms over the pillars of the bound of each size: {parts}{worst}{unknown}",
         ),
         BudgetLine(
             "size snapping and finite library",

@@ -299,20 +299,23 @@ def test_shapes_that_are_no_pillars_are_refused_with_their_number_and_kind(
         read_back.require_pillars_alone("their light cannot be simulated")
 
 
+@pytest.mark.parametrize("copies", [(), (Copy(at_um=(1000.0, 0.0)), Copy(at_um=(3000.0, 0.0)))])
 def test_a_lens_that_stands_elsewhere_is_refused_with_its_place(
-    tiny_design: Design, tiny_files: dict[str, Path], tmp_path: Path
+    tiny_design: Design, tiny_files: dict[str, Path], tmp_path: Path, copies: tuple[Copy, ...]
 ) -> None:
+    """Its place is the one to name by `at_um`, whichever places the design names."""
+    tiny_design = replace(tiny_design, mask=replace(tiny_design.mask, copies=copies))
     library, other, place_um = gdstk.read_gds(tiny_files["gds"]), tmp_path / "other.gds", (1234.567, -77.001)
     chip = library.new_cell("chip")
     chip.add(gdstk.Reference(next(cell for cell in library.top_level() if cell is not chip), place_um))
     library.write_gds(other)
     read_back = mask.read(other, tiny_design)
-    assert read_back.displaced_um == pytest.approx(place_um, abs=1e-6)
-    with pytest.raises(InputError, match=r"\(1234\.567, -77\.001\) um from their places.*`at_um`"):
+    assert read_back.stands_at_um == pytest.approx(place_um, abs=1e-6)
+    with pytest.raises(InputError, match=r"\(1234\.567, -77\.001\) um: name this place by `at_um`"):
         read_back.require_pillars_alone("their light cannot be simulated")
     assert "(1234.567, -77.001) um" in drc.check(other, tiny_design).warnings()[0]
     stated = replace(tiny_design, mask=replace(tiny_design.mask, copies=(Copy(at_um=place_um),)))
-    assert mask.read(other, stated).displaced_um is None
+    assert mask.read(other, stated).stands_at_um is None
     _assert_pure(mask.read(other, stated))
 
 

@@ -65,6 +65,15 @@ def test_counts_of_a_border_without_noise_have_the_error_of_rounding() -> None:
         assert figures.error < 0.03
 
 
+def test_levels_in_the_upper_bits_of_a_count_have_the_same_error() -> None:
+    """A camera's 12 bits times 16."""
+    truth = turning_psf()
+    counts = np.round(7.0 + 230.0 * truth.psf / truth.psf.max())
+    one, upper = (psf_of_stack(times * counts, DEPTHS_M, 1.0, centring="none")[1].error for times in (1.0, 16.0))
+    assert upper == pytest.approx(one)
+    assert one > 1e-3
+
+
 def test_integrated_pixels_become_samples() -> None:
     """The kernels of a stack of integrals are the stack itself; those of samples are integrated once more."""
     truth = turning_psf()

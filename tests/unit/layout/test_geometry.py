@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -78,6 +79,24 @@ def test_the_nearest_write_fields_hold_whole_numbers_of_both_periods(small_desig
     ):
         field_sites(replace(_mask(small_design, write_field_um=500.0), unit_cell=oblong))
     field_sites(replace(_mask(small_design, write_field_um=500.4), unit_cell=oblong))
+
+
+@pytest.mark.parametrize(("period_nm", "unit_nm"), [((417.3, 391.7), 0.1), ((333.25, 333.25), 0.25)])
+def test_the_write_fields_of_a_refusal_are_accepted(
+    small_design: Design, period_nm: tuple[float, float], unit_nm: float
+) -> None:
+    """1634.5641 um and 500.20825 um, written to the last digit."""
+    cell = small_design.unit_cell
+    design = replace(
+        _mask(small_design, write_field_um=500.0, database_unit_nm=unit_nm),
+        unit_cell=replace(cell, cell=replace(cell.cell, period_nm=period_nm)),
+    )
+    with pytest.raises(InputError) as refusal:
+        field_sites(design)
+    found = re.search(r"use (\S+) or (\S+) um", str(refusal.value))
+    assert found is not None
+    for side_um in map(float, found.groups()):
+        field_sites(_mask(design, write_field_um=side_um))
 
 
 def test_a_period_off_the_grid_is_refused(small_design: Design) -> None:

@@ -52,6 +52,12 @@ def _rows(path: Path, header: str, *columns: FloatArray) -> Path:
     return path
 
 
+def _both(path: Path, width: FloatArray, length: FloatArray) -> Path:
+    """File of both polarisations at sizes of any order."""
+    header, (x, y) = "width_nm,length_nm,t_xx_re,t_xx_im,t_yy_re,t_yy_im", (_t(width, length), _t(length, width))
+    return _rows(path, header, width, length, x.real, x.imag, y.real, y.imag)
+
+
 Writer = Callable[[Path, FloatArray, FloatArray, ComplexArray, ComplexArray], tuple[Path, str, str]]
 
 
@@ -119,6 +125,7 @@ def test_every_form_of_file_gives_the_same_library(
     # Cross-validation, with fewer samples, errs more than the library, but not by orders of magnitude.
     assert 1e-4 < np.median(found.error_of_sizes) < 2e-2
     assert found.statistics.held_out == samples[0].size
+    assert found.statistics.is_imported
     assert found.surface(173.2, 181.7).t_xx == pytest.approx(_t(np.float64(173.2), np.float64(181.7)), abs=2e-3)
     library.save(found, tmp_path / "lib.h5")
     assert np.array_equal(library.load(tmp_path / "lib.h5").t_xx, found.t_xx)
@@ -215,6 +222,37 @@ def test_widths_and_lengths_of_unlike_shapes_are_refused(cell: UnitCell, tmp_pat
         InputError, match=r"`sizes`: expected .* got `width` of shape \(16, 1\), `length` of shape \(9, 1\)"
     ):
         import_sweep(tmp_path / "sweep.npz", cell, quantity="field")
+
+
+@pytest.mark.parametrize("line", ["width", "length", "squares", "oblique"])
+def test_sizes_on_one_line_serve_along_it(cell: UnitCell, tmp_path: Path, line: str) -> None:
+    fixed = np.full_like(SIZES_NM, 150.0)
+    width = fixed if line == "length" else SIZES_NM
+    length = {"width": fixed, "oblique": SIZES_NM + 30.0}.get(line, SIZES_NM)
+    found = import_sweep(_both(tmp_path / "line.csv", width, length), cell, quantity="field")
+    own = found.at_sizes(width, length)
+    assert own.t_xx == pytest.approx(_t(width, length), abs=1e-12)
+    assert own.error.max() < 1e-8
+    row, column = np.nonzero(found.known)
+    assert row.size == 2 * SIZES_NM.size - 1
+    missed = np.abs(found.t_xx[0] - _t(found.width_nm[None, :], found.length_nm[:, None]))[row, column]
+    assert (missed <= found.error_of_sizes[row, column]).mean() > 0.9
+
+
+def test_one_size_beside_a_line_of_sizes_serves_as_well(cell: UnitCell, tmp_path: Path) -> None:
+    width, length = np.append(SIZES_NM, 200.0), np.append(np.full_like(SIZES_NM, 150.0), 160.0)
+    found = import_sweep(_both(tmp_path / "beside.csv", width, length), cell, quantity="field")
+    assert found.at_sizes(width, length).t_yy == pytest.approx(_t(length, width), abs=1e-12)
+
+
+def test_a_sweep_of_wide_steps_along_one_side_states_its_error_there(cell: UnitCell, tmp_path: Path) -> None:
+    """A size left out alone is predicted by its neighbours 2 nm away; between the lengths there are none."""
+    width, length = (axis.ravel() for axis in np.meshgrid(np.arange(100.0, 250.1, 2.0), np.arange(100.0, 250.1, 25.0)))
+    found = import_sweep(_both(tmp_path / "wide.csv", width, length), cell, quantity="field")
+    at = found.width_nm[None, :], found.length_nm[:, None]
+    missed = np.maximum(np.abs(found.t_xx[0] - _t(*at)), np.abs(found.t_yy[0] - _t(*at[::-1])))
+    assert missed.max() > 0.05
+    assert (missed <= found.error_of_sizes).mean() > 0.98
 
 
 def test_a_size_given_twice_is_refused(cell: UnitCell, tmp_path: Path) -> None:

@@ -78,6 +78,16 @@ def test_slopes_serve_the_first_rounds_alone(cell: UnitCell, grid: SizeGrid, sol
     assert not asked[-1]
 
 
+@pytest.mark.parametrize("lengths", [1, 2, 3])
+def test_a_few_lengths_are_solved_without_a_model_or_sizes_between(unit_cell: UnitCell, lengths: int) -> None:
+    """Models over two lengths missed up to 1.8 times their stated error, and sizes between serve no surface."""
+    sweep = replace(unit_cell.sweep, length_nm=(150.0, 150.0 + (lengths - 1) * unit_cell.sweep.size_grid_nm))
+    found = library.build(replace(unit_cell, sweep=sweep), solver=ridges.solve)
+    assert found.statistics.points_solved == found.t_xx.size > 75
+    assert found.model is None
+    assert found.statistics.sizes_beyond_target == 0
+
+
 def test_a_small_batch_is_shared_size_by_size(cell: UnitCell, grid: SizeGrid, solving: Solving) -> None:
     """Four resonant sizes in one chunk would keep one worker busy alone."""
     reported: list[int] = []

@@ -133,6 +133,8 @@ def test_the_number_of_cells_is_stated_alone_where_every_size_is_solved(unit_cel
     assert library.expected_cells(coarse) == (100, 31 * 32 // 2 + 192), "all sizes, and those between them"
     circles = replace(unit_cell, cell=replace(unit_cell.cell, shape="circle"))
     assert library.expected_cells(circles) == (76, 76)
+    three = replace(unit_cell, sweep=replace(unit_cell.sweep, length_nm=(150.0, 154.0)))
+    assert library.expected_cells(three) == (3 * 76, 3 * 76), "lengths that no model connects"
     # Two sizes and an angle.
     tilted = replace(unit_cell, sweep=replace(unit_cell.sweep, axes=Axes(angle_x_deg=(0.0, 4.0))))
     assert library.expected_cells(tilted) == (100 + 3 * 96, 1100 + 3 * 400)

@@ -49,6 +49,16 @@ def test_the_budget_of_several_lights_is_that_of_the_worst() -> None:
     assert solver.how.endswith("in the worst light")
 
 
+def test_the_budget_of_an_imported_library_claims_no_error_of_its_solver() -> None:
+    library = run_summary().library
+    assert library is not None
+    for rounds, name in ((3, "solver and library"), (0, "interpolation of the library")):
+        line, *_ = error_budget(RunSummary(library=replace(library, rounds=rounds), layout=LAYOUT, psf=PSF))
+        assert line.source == name
+        assert ("certificate" in line.how) == (rounds > 0)
+        assert ("is not known" in line.how) == (rounds == 0)
+
+
 @pytest.fixture
 def job(tmp_path: Path, small_design: Design) -> Job:
     """A run folder with files in place of masks."""
