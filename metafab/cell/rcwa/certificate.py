@@ -122,7 +122,7 @@ _CLAIMS: dict[Formulation, dict[int, tuple[Claim, ...]]] = {
             Claim(4.5e-4, ((5, 0.9), (3, 0.05))),
             Claim(3e-4, ((4, 0.28),)),
             Claim(4e-4, ((4, 0.18),)),
-            Claim(9e-4, ((4, 0.06),)),
+            Claim(9e-4, ((4, 0.09),)),
         ),
         7: (
             Claim(2e-4, ((6, 6.0),)),

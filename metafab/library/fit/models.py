@@ -21,8 +21,8 @@ LARGEST_DEGREE, LARGEST_CORNER_DEGREE = 16, 18
 #: Largest number of unknowns per equation; a value below 1 suppresses noise and spurious poles.
 FILLING = 0.7
 #: Degrees of denominators and of the numerators for sweeps with many guided modes (TiO2 in the visible); tried only
-#: with enough samples. Two denominators, so that a model of many modes has a rival that is as good: silicon at 1550 nm
-#: had one with half of its terms, and 673 of 2401 sizes beyond their target by the difference.
+#: with enough samples. Two denominators, so that a model of many modes has a rival that is about as good: silicon at
+#: 1550 nm had one with half of its terms, and 673 of 2401 sizes beyond their target by the difference.
 MANY_MODES_DENOMINATORS, MANY_MODES_DEGREE = (14, 16), 22
 #: Unknowns per equation of such models.
 MANY_MODES_FILLING = 0.35
@@ -71,7 +71,7 @@ def fit_size_models(
 
     def fit(some: Samples, shape: Shape) -> RationalModel:
         # Many guided modes need every coefficient of the denominator, and the samples determine them unpenalised.
-        penalised = shape.degrees[0] < MANY_MODES_DEGREE
+        penalised = shape.degrees[0] <= LARGEST_DEGREE
         mirrored = some.width_nm != some.length_nm if exchange else None
         return fit_model(some, shape, spans_nm, mirrored, penalised)
 
@@ -137,12 +137,12 @@ def _size_shapes(equations: int) -> list[Shape]:
     """Shapes over sizes alone that a number of samples of one polarisation can determine."""
     shapes: list[Shape] = []
     for below in (*DENOMINATOR_DEGREES, *MANY_MODES_DENOMINATORS):
-        filling = FILLING if below <= DENOMINATOR_DEGREES[-1] else MANY_MODES_FILLING
-        top = _largest_numerator(below, LARGEST_DEGREE, filling * 2 * equations)
-        if _largest_numerator(below, MANY_MODES_DEGREE, MANY_MODES_FILLING * 2 * equations) == MANY_MODES_DEGREE:
-            shapes.append(Shape((MANY_MODES_DEGREE, below)))
-        if top:
-            shapes += [Shape((above, below)) for above in sorted({top, max(3 * top // 4, 1)})]
+        tops = {_largest_numerator(below, MANY_MODES_DEGREE, MANY_MODES_FILLING * 2 * equations)}
+        if below in DENOMINATOR_DEGREES:
+            tops = {_largest_numerator(below, LARGEST_DEGREE, FILLING * 2 * equations), *(tops & {MANY_MODES_DEGREE})}
+        least = min(tops)
+        if least:
+            shapes += [Shape((above, below)) for above in sorted({*tops, max(3 * least // 4, 1)})]
     return shapes if len(shapes) > 1 else [Shape((2, 0)), Shape((1, 0))]
 
 

@@ -154,12 +154,13 @@ class OffGridSampler:
         """Solve the sizes of the grid whose own error bound, solver and model together, is above ``target``.
 
         Their answers go to ``sampling``. Models are not fitted again: a size that is solved needs none, and another fit
-        could open other sizes. A solver that misses the target at most sizes is not asked. Returns ``off_grid`` with
-        the model's errors at the new sizes.
+        could open other sizes. A solver that misses its own target at most sizes is not asked. Returns ``off_grid``
+        with the model's errors at the new sizes.
         """
-        if off_grid.models is None or np.median([point.error for point in self.sampling.solved.values()]) > target:
-            return off_grid
         grid, numerics = self.grid, replace(self._solve_points.numerics, slopes=False)
+        stated = [point.error for point in self.sampling.solved.values()]
+        if off_grid.models is None or np.median(stated) > numerics.target_error:
+            return off_grid
         solve_sizes = replace(self._solve_points, cell_of=self._cell_of_size, numerics=numerics)
         while True:
             solved = self.sampling.solved

@@ -428,6 +428,19 @@ ACCIDENTS = {
         replace(SILICON, period_nm=(338.1247,) * 2, width_nm=222.08583, length_nm=222.08583, height_nm=364.40068),
         1e-4,
     ),
+    "1.25 times, 6 and 4 cosines": (
+        replace(
+            SILICON,
+            period_nm=(400.0, 400.0),
+            width_nm=246.0,
+            length_nm=150.0,
+            height_nm=500.0,
+            n_pillar=3.5,
+            n_substrate=(1.46, 1.46),
+            wavelength_nm=850.0,
+        ),
+        2e-3,
+    ),
 }
 
 
