@@ -137,12 +137,13 @@ def _size_shapes(equations: int) -> list[Shape]:
     """Shapes over sizes alone that a number of samples of one polarisation can determine."""
     shapes: list[Shape] = []
     for below in (*DENOMINATOR_DEGREES, *MANY_MODES_DENOMINATORS):
-        tops = {_largest_numerator(below, MANY_MODES_DEGREE, MANY_MODES_FILLING * 2 * equations)}
+        rich = _largest_numerator(below, MANY_MODES_DEGREE, MANY_MODES_FILLING * 2 * equations)
+        top = rich
         if below in DENOMINATOR_DEGREES:
-            tops = {_largest_numerator(below, LARGEST_DEGREE, FILLING * 2 * equations), *(tops & {MANY_MODES_DEGREE})}
-        least = min(tops)
-        if least:
-            shapes += [Shape((above, below)) for above in sorted({*tops, max(3 * least // 4, 1)})]
+            top = _largest_numerator(below, LARGEST_DEGREE, FILLING * 2 * equations)
+        if top:
+            degrees = {top, max(3 * top // 4, 1), *({rich} & {MANY_MODES_DEGREE})}
+            shapes += [Shape((above, below)) for above in sorted(degrees)]
     return shapes if len(shapes) > 1 else [Shape((2, 0)), Shape((1, 0))]
 
 
