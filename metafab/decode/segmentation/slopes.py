@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum, minimum
 
 from metafab.core.conventions import FloatArray
 from metafab.core.numeric.distance import box_about
@@ -88,9 +89,18 @@ def _distances(
         pixels: shape (n_cells,), of each cell.
 
     Returns:
-        The distances, and their errors: inf where the twins do not agree best near the plane.
+        The distances, and their errors: inf where the twins do not agree best near the plane and within the calibrated
+        range, or where little of that is near the plane.
     """
-    offsets = volume.step_per_m * np.arange(-_APART, _APART + 1.0)
-    products = volume.at(plane.over(volume.shape) + offsets[:, None, None])
-    along = replace(volume, vergences_per_m=offsets, products=products)
-    return cell_depths(along, along.label_sums(label, pixels.size), pixels)
+    nodes, per_m, reach = volume.vergences_per_m, plane.over(volume.shape), _APART * volume.step_per_m
+    numbers = np.arange(1, pixels.size + 1)
+    # Beyond the calibrated range, products are those at its end: they would draw cells near it towards that.
+    first = np.maximum(nodes[0] - minimum(per_m, label, numbers), -reach)
+    room = np.minimum(nodes[-1] - maximum(per_m, label, numbers), reach) - first
+    enough = room > volume.step_per_m
+    step = np.where(enough, room, 2.0 * reach) / (2 * _APART)
+    first_there, step_there = (np.append(0.0, each)[label] for each in (first, step))
+    candidates = np.arange(2 * _APART + 1.0)[:, None, None]
+    along = replace(volume, products=volume.at(per_m + first_there + candidates * step_there))
+    away, error = cell_depths(along.label_sums(label, pixels.size), pixels, volume.samples, first, step)
+    return away, np.where(enough, error, np.inf)

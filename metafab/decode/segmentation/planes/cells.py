@@ -25,20 +25,28 @@ def cell_side(step: int, side_px: int = CELL_PX) -> int:
     return max(2, side_px // step)
 
 
-def cell_depths(volume: CostVolume, sums: FloatArray, pixels: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+def cell_depths(
+    sums: FloatArray,
+    pixels: NDArray[np.intp],
+    samples: float,
+    first_per_m: float | FloatArray,
+    step_per_m: float | FloatArray,
+) -> tuple[FloatArray, FloatArray]:
     """1/depth of cells at the largest correlation of their twins, and its standard error, in 1/m: shapes (n,).
 
     The error is inf where the twins do not agree, or best at an end of the candidates.
 
     Args:
-        volume: cost volume, whose candidates the depths are measured at.
-        sums: shape (n, 3, n_candidates), its products summed over each cell.
+        sums: shape (n, 3, n_candidates), products of the twins summed over each cell.
         pixels: shape (n,), of each cell.
+        samples: independent samples of a pixel.
+        first_per_m: 1/depth of the first candidate, of all cells or each, shape (n,).
+        step_per_m: difference of 1/depth from one candidate to the next, likewise.
     """
     peak = spline_peaks(correlation(np.moveaxis(sums, 1, 0)).astype(np.float64))
-    error = standard_error(peak.height, peak.curvature / volume.step_per_m**2, 1.0)
-    error = np.where(peak.inside & (peak.height > 0.0), error / np.sqrt(pixels * volume.samples), np.inf)
-    return volume.vergences_per_m[0] + volume.step_per_m * peak.place, error
+    error = standard_error(peak.height, peak.curvature / np.square(step_per_m), 1.0)
+    error = np.where(peak.inside & (peak.height > 0.0), error / np.sqrt(pixels * samples), np.inf)
+    return np.asarray(first_per_m + step_per_m * peak.place), error
 
 
 @dataclass(frozen=True)
@@ -82,7 +90,8 @@ class Cells:
         cell_label[row, column] = cell + 1
         sums = volume.label_sums(cell_label, number.size)
         middle_row, middle_column = (np.bincount(cell, axis, number.size) / pixels for axis in (row, column))
-        vergence, error = cell_depths(volume, sums, pixels)
+        first_per_m = float(volume.vergences_per_m[0])
+        vergence, error = cell_depths(sums, pixels, volume.samples, first_per_m, volume.step_per_m)
         clear = np.ones(number.size, dtype=bool)
         segment = number // (down * across)
         for axis, middle in enumerate((middle_row, middle_column)):

@@ -50,3 +50,18 @@ def test_a_segment_without_enough_cells_stays() -> None:
     few[:40, :40] = 1
     assert along_planes([segment(FOUND)], few, volume(), STEP) == (segment(FOUND),)
     assert along_planes([segment(FOUND)], none, volume(), STEP) == (segment(FOUND),)
+
+
+@pytest.mark.parametrize("end", ["far", "near"])
+def test_a_plane_that_reaches_the_end_of_the_calibrated_range_is_not_drawn_to_it(end: str) -> None:
+    # The twins agree over more than two candidates: their sums at the end of the range are much like those beyond it.
+    true = Plane(340.0, (0.02, -0.05), (45.0, 60.0))
+    per_m = true.over(SHAPE)
+    nodes = np.arange(31) * 4.0
+    nodes = nodes - nodes[0] + per_m.min() - 0.5 if end == "far" else nodes - nodes[-1] + per_m.max() + 0.5
+    agree = 0.9 * np.exp(-0.5 * ((nodes[:, None, None] - per_m) / 8.0) ** 2)
+    products = np.stack([agree, np.ones_like(agree), np.ones_like(agree)]).astype(np.float32)
+    inside = np.ones(SHAPE, dtype=np.int32)
+    found = replace(true, vergence_per_m=340.5, slope_per_m=(0.025, -0.06))
+    (depth,) = along_planes([segment(found)], inside, CostVolume(nodes, products, samples=0.1, noise_gain=1.0), STEP)
+    np.testing.assert_allclose(depth.plane.over(SHAPE), per_m, rtol=8e-4)
