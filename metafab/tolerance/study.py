@@ -22,14 +22,12 @@ from metafab.core.storage.files import read_json, write_json
 from metafab.core.storage.tables import typed
 from metafab.library.library import Library
 from metafab.optics.geometry.imaging import Imaging
-from metafab.optics.measures.focus import LensFocus
-from metafab.optics.numerics import PsfNumerics
 from metafab.optics.propagation.blocks import MOST_BLOCKS, require_memory
 from metafab.optics.propagation.pupil import Pupil
-from metafab.optics.sources.source import Transmission, WrittenField
+from metafab.optics.sources.source import WrittenField
 from metafab.spec.design import Tolerances
 from metafab.tolerance.corners import CornerField, corner_fields
-from metafab.tolerance.mask_light import MaskOptics
+from metafab.tolerance.mask_light import MaskOptics, PsfConditions
 from metafab.tolerance.reference import Reference
 from metafab.tolerance.scatter import Fault, Misplaced, Missing, Stitched
 
@@ -40,28 +38,21 @@ FORMAT = 1
 def tolerance_table(
     written: WrittenField,
     library: Library,
-    imaging: Imaging,
-    depths_m: Sequence[float],
     tolerances: Tolerances,
+    conditions: PsfConditions,
     field_sites: int,
-    numerics: PsfNumerics = PsfNumerics(),
     *,
     made: Sequence[CornerField] = (),
-    transmission: Transmission | None = None,
-    lens: LensFocus | None = None,
     work: Work = Work(workers=1),
 ) -> ToleranceTable:
     """Compare the PSFs at the corners of a written mask with those of the nominal mask, on the axis.
 
     Args:
         written: mask with the amplitudes of the library.
-        depths_m: shape (n_depth,), object depths, ascending.
         tolerances: deviations of the fabrication; zeros leave corners out.
+        conditions: geometry, depths and numerics of every PSF.
         field_sites: sites along a side of a write field.
-        numerics: window, target error and filter of every PSF. Unwanted light is that of the design wavelength.
         made: the mask as processes make it, for the first rows of the table.
-        transmission: stop or amplitude in the plane of the pillars; None for none.
-        lens: focus whose widths and Strehl ratio the rows hold; None for devices without one.
         work: processes or cluster that solve cells, and progress over the corners. The result does not depend on them.
 
     Raises:
@@ -75,9 +66,9 @@ def tolerance_table(
         expected, remedy = f"0 for {kind}, whose slopes are not available", "set it in `[tolerance]`"
         raise InputError.single("tolerance", "sidewall_deg", expected, f"{tolerances.sidewall_deg:g}", remedy)
     with one_blas_thread():
-        optics, pupils, error = MaskOptics.of(written, imaging, depths_m, numerics, transmission, work, lens)
+        optics, pupils, error = MaskOptics.of(written, conditions, work)
         block = pupils[0].carrier.block_sites
-        faults = _faults(tolerances, imaging, written, field_sites)
+        faults = _faults(tolerances, conditions.imaging, written, field_sites)
         require_block_memory(faults, written, block)
         reference = Reference.of(optics, pupils, error)
         with work.processes() as executor:
@@ -92,7 +83,7 @@ def tolerance_table(
             work.progress("tolerance", done + 1, len(corners))
         rows += [_fault_row(fault, reference, optics, pupils, written, tolerances.draws) for fault in faults]
     nominal = reference.row("nominal", [reference.nominal], 0.0)
-    return ToleranceTable(np.array(optics.depths_m), error, block, nominal, tuple(rows))
+    return ToleranceTable(np.array(conditions.depths_m), error, block, nominal, tuple(rows))
 
 
 def _deviations(tolerances: Tolerances) -> dict[str, float]:
