@@ -163,7 +163,7 @@ class Design(Checked):
                     f"{getattr(self.rules, name):g}; is it in nanometres?"
                 )
         yield from self._faults_of_rings()
-        if self.verify.centre_um is not None and (self.split_angle_deg or self.scene is not None):
+        if self.verify.centre_um is not None and self.windows_follow_images:
             yield (
                 "`verify.centre_um` moves the window of a device without scene and `split_lens`, whose windows follow "
                 "the images of objects"
@@ -305,6 +305,11 @@ class Design(Checked):
         """Whether the phase is that of a lens with one focus, aberrations included."""
         focusing = any(isinstance(term, Lens | Radial | SplitLens) for term in self.phase)
         return focusing and not any(term.blurs for term in self.phase)
+
+    @property
+    def windows_follow_images(self) -> bool:
+        """Whether the PSF windows follow the images of objects; otherwise ``verify.centre_um`` may place them."""
+        return bool(self.split_angle_deg) or self.scene is not None
 
     def at_light(self, light: Light) -> Design:
         """Return the design for one light alone: with its wavelength, and with its phase terms if it has its own.

@@ -206,7 +206,9 @@ def _deflections(design: Design, distance_um: float) -> tuple[tuple[float, float
     if (sine := max(math.hypot(*cosines) for cosines in found)) >= 1.0:
         expected = "a phase whose mean slope sends light towards the sensor, at most 2 pi per wavelength"
         got = f"one of {sine:.3g} times that"
-        remedy = "is the pitch in micrometres? `verify.centre_um` places the window by hand"
+        remedy = "is the pitch in micrometres?"
+        if not design.windows_follow_images:
+            remedy += " `verify.centre_um` places the window by hand"
         raise InputError.single(design.name, "phase", expected, got, remedy)
     return found
 
