@@ -262,9 +262,9 @@ def test_a_second_look_seeks_no_continuous_surface(psf: Psf) -> None:
     decoder = video(psf, frame).decoder
     prepared = decoder.prepare(frame)
     assert not isinstance(prepared, str)
-    volume = decoder.match(prepared)
-    assert decoder.segment(prepared, volume)[1].continuous
-    assert not decoder.segment(prepared, volume, surfaces=False)[1].continuous
+    matched = decoder.match(prepared)
+    assert decoder.segment(matched)[1].continuous
+    assert not decoder.segment(matched, surfaces=False)[1].continuous
 
 
 def test_other_light_and_another_scene_are_decoded_anew(psf: Psf, frames: list[RawFrame]) -> None:

@@ -30,7 +30,7 @@ def photographed(contrast: float) -> tuple[DecodedFrame, LayerOptics, NDArray[np
     assert decoder is not None and frame.truth is not None
     prepared = decoder.prepare(frame)
     assert not isinstance(prepared, str)
-    return decoder.complete(prepared, decoder.match(prepared)), decoder.layer_optics, frame.truth.label == 2
+    return decoder.complete(decoder.match(prepared)), decoder.layer_optics, frame.truth.label == 2
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,7 @@ def test_one_surface_is_not_modelled() -> None:
     assert decoder is not None
     prepared = decoder.prepare(frame)
     assert not isinstance(prepared, str)
-    volume = decoder.match(prepared)
+    volume = decoder.match(prepared).volume
     regions = find_regions(prepared, volume, textured_pixel_depth(prepared, volume))
     assert len(regions.depths) == 1
     assert FrameModel(prepared, regions, decoder.layer_optics).owners() is None
@@ -60,7 +60,7 @@ def wall_and_object() -> FrameModel:
     assert decoder is not None
     prepared = decoder.prepare(frame)
     assert not isinstance(prepared, str)
-    volume = decoder.match(prepared)
+    volume = decoder.match(prepared).volume
     regions = find_regions(prepared, volume, textured_pixel_depth(prepared, volume), optics=decoder.layer_optics)
     assert len(regions.depths) == 2
     return FrameModel(prepared, regions, decoder.layer_optics)
