@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from metafab.core.errors import InputError
 from metafab.spec import Sensor, UnitCell, load_design, load_unit_cell, make_design, make_unit_cell
 from metafab.spec.cell import CellGeometry, CellMaterials, Illumination, Material
+from metafab.spec.design import Tolerances
 from metafab.spec.device import Device
 from metafab.spec.terms import Lens, SpiralZones, SplitLens
 
@@ -130,3 +132,20 @@ def test_single_values_in_place_of_sequences_are_refused_by_name() -> None:
             wavelength_nm=800,
             sizes_nm=(100, 250),  # type: ignore[arg-type]
         )
+
+
+def test_a_spec_that_python_makes_by_itself_states_all_faults_in_our_words() -> None:
+    """They also are a ValueError, as those of Python's own types."""
+    with pytest.raises(InputError) as refused:
+        Tolerances(cd_bias_nm=-1.0, draws=1, missing=0.1)  # type: ignore[call-arg]
+    assert isinstance(refused.value, ValueError)
+    assert refused.value.source == "Tolerances"
+    assert [fault.field for fault in refused.value.faults] == ["cd_bias_nm", "draws", "missing"]
+    assert "did you mean `missing_share`?" in str(refused.value)
+    with pytest.raises(InputError, match=r"SplitLens:\n  `angle_deg`: expected a number less than 90, got 95.0"):
+        SplitLens(angle_deg=95.0)
+    with pytest.raises(InputError, match=r"Sensor:\n  `focus_depth_m`: expected a value, got nothing"):
+        Sensor(pixel_um=1.0)  # type: ignore[call-arg]
+    with pytest.raises(InputError, match="at least 2 to be optimised"):
+        replace(SpiralZones(), zones=1, optimise="peak")
+    assert pickle.loads(pickle.dumps(refused.value)).faults == refused.value.faults
