@@ -12,10 +12,11 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.spec import Sensor, UnitCell, load_design, load_unit_cell, make_design, make_unit_cell
-from metafab.spec.cell import CellGeometry, CellMaterials, Illumination, Material
+from metafab.spec.cell import Axes, CellGeometry, CellMaterials, Illumination, Layer, Material
 from metafab.spec.design import Tolerances
 from metafab.spec.device import Device
 from metafab.spec.terms import Lens, SpiralZones, SplitLens
+from metafab.spec.toml import canonical_toml, parse_toml
 
 ROOT = Path(__file__).parents[3]
 
@@ -37,6 +38,18 @@ def test_a_cell_in_python_is_the_cell_of_the_file() -> None:
     assert made.illumination == read.illumination
     assert made.sweep == read.sweep
     assert (made.materials.pillar.n, made.materials.pillar.k) == (read.materials.pillar.n, read.materials.pillar.k)
+
+
+def test_the_other_keys_are_set_by_replacement() -> None:
+    """And refused like those of a file."""
+    cell = paper_cell()
+    film = Layer(height_nm=20.0, material=Material(n=1.46))
+    built = replace(cell, cell=replace(cell.cell, sidewall_angle_deg=88.0, film=(film,)))
+    assert parse_toml(canonical_toml(built), ROOT)["cell"]["film"][0]["height_nm"] == 20.0
+    swept = replace(cell, sweep=replace(cell.sweep, axes=Axes(height_nm=(580.0, 620.0))))
+    assert swept.sweep.axes is not None and swept.sweep.axes.spans == {"height_nm": (580.0, 620.0)}
+    with pytest.raises(InputError, match=r"`sweep.axes.height_nm` must contain the cell's own 600"):
+        replace(cell, sweep=replace(cell.sweep, axes=Axes(height_nm=(610.0, 620.0))))
 
 
 def test_a_ring_in_python_has_a_wall_or_a_hole() -> None:
