@@ -25,6 +25,7 @@ FieldGrid: TypeAlias = tuple[FloatArray, FloatArray]
 #: Relative L2 error of cubic interpolation between depths whose rim defocus differs by one radian, a measured upper
 #: bound. The error falls with the fourth power of the step.
 _CUBIC_ERROR_PER_RAD4 = 4.0e-3
+#: Fewest depths of a stack.
 _FEWEST_NODES = 6
 
 
