@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from metafab.core.arguments import require_types
 from metafab.core.errors import InputError
 from metafab.core.figures import ToleranceRow, ToleranceTable
 from metafab.core.parallel.executor import one_blas_thread
@@ -56,10 +57,20 @@ def tolerance_table(
         work: processes or cluster that solve cells, and progress over the corners. The result does not depend on them.
 
     Raises:
-        InputError: slopes of rings or in a hexagonal lattice, inputs for which no PSF stack exists
-            (:func:`metafab.optics.psf`), or write fields that for stitching must be divided into more blocks than fit
-            into memory.
+        InputError: write fields without a site, slopes of rings or in a hexagonal lattice, inputs for which no PSF
+            stack exists (:func:`metafab.optics.psf`), or write fields that for stitching must be divided into more
+            blocks than fit into memory.
     """
+    require_types(
+        "tolerance",
+        written=(written, WrittenField),
+        library=(library, Library),
+        tolerances=(tolerances, Tolerances),
+        conditions=(conditions, PsfConditions),
+    )
+    if field_sites < 1:
+        remedy = "`min(layout.field_sites(design))` is that of a design"
+        raise InputError.single("tolerance", "field_sites", "at least 1 site", f"{field_sites}", remedy)
     cell = library.unit_cell.cell
     if (cell.is_hexagonal or cell.shape == "ring") and tolerances.sidewall_deg > 0.0:
         kind = "a hexagonal lattice" if cell.is_hexagonal else 'cells of the shape "ring"'

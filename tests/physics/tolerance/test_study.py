@@ -321,3 +321,14 @@ def test_slopes_of_rings_are_refused_by_their_key(written: WrittenField, small_l
     rings = replace(small_library, unit_cell=replace(small_library.unit_cell, cell=cell))
     with pytest.raises(InputError, match=r'sidewall_deg.*expected 0 for cells of the shape "ring"'):
         tolerance_table(written, rings, Tolerances(sidewall_deg=1.0), PsfConditions(OPTICS, DEPTHS_M), 50)
+
+
+def test_what_would_leave_the_mask_as_it_is_is_refused(written: WrittenField, small_library: Library) -> None:
+    """A misspelt axis gave the corners of the nominal mask."""
+    with pytest.raises(InputError, match=r"`hieght_nm`: expected an axis: .*; did you mean `height_nm`\?"):
+        corner_fields(written, small_library, {"hieght_nm": 10.0})
+    conditions = PsfConditions(OPTICS, DEPTHS_M)
+    with pytest.raises(InputError, match="`field_sites`: expected at least 1 site, got 0"):
+        tolerance_table(written, small_library, Tolerances(), conditions, 0)
+    with pytest.raises(InputError, match="`conditions`: expected PsfConditions, got Imaging"):
+        tolerance_table(written, small_library, Tolerances(), OPTICS, 50)  # type: ignore[arg-type]
