@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from metafab.core.arguments import is_several
+from metafab.core.arguments import is_several, require_types
 from metafab.core.conventions import Side
 from metafab.spec.cell import UnitCell
 from metafab.spec.design import Design
@@ -97,6 +97,7 @@ def make_design(
         formats: formats of the mask; none for a lens simulated from its target phases.
         target_error: relative error of the PSFs.
     """
+    require_types("design", cell=(cell, UnitCell))
     table = {
         "name": name,
         "library": Path("library.h5"),
