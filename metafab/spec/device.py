@@ -66,7 +66,7 @@ class Device(Checked):
 def _no_number(value: object) -> object:
     """Refuse 0 and 1, which are equal to false and true."""
     if isinstance(value, int | float) and not isinstance(value, bool):
-        raise ValueError(f'must be false, true or "table", got {value}')
+        raise ValueError('must be false, true or "table"')
     return value
 
 
