@@ -50,7 +50,7 @@ def matched(decoder: Decoder, frame: RawFrame) -> Matched:
     """The frame prepared, its cost volume and the depth of each pixel."""
     prepared = decoder.prepare(frame)
     assert not isinstance(prepared, str)
-    volume = decoder.match(prepared)
+    volume = decoder.match(prepared).volume
     return prepared, volume, textured_pixel_depth(prepared, volume)
 
 

@@ -33,7 +33,7 @@ from metafab.cell.elements import ElementNumerics
 from metafab.cell.meep import MeepSettings, Pool, SupercellSettings, finding, solve, solve_supercell
 from metafab.cell.meep.grid import family, plan
 from metafab.cell.supercell import Supercell
-from metafab.fullwave.patch import at_sites, field_difference
+from metafab.fullwave.patch import field_difference
 from metafab.layout import Lattice
 from metafab.optics import Imaging
 
@@ -176,7 +176,7 @@ def _lens(pool: Pool, count: int = 28, focus_um: float = 10.0, padding: int = 2)
     start = time.perf_counter()
     answer = solve_supercell(supercell, "x", SupercellSettings(12, 1e-2), pool)
     seconds = time.perf_counter() - start
-    whole = at_sites(supercell, answer.order, answer.co_polarised)
+    whole = supercell.at_sites(answer.order, answer.co_polarised)
     full_wave = np.where(inside, whole[padding:-padding, padding:-padding], 0.0)
     alone = np.where(inside, answer.responses[padding:-padding, padding:-padding], 0.0)
     library = np.where(inside, own[chosen], 0.0)

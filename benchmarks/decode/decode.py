@@ -226,7 +226,7 @@ def window_errors(
         prepared = decoder.prepare(frame)
         if isinstance(prepared, str):
             raise ValueError(prepared)
-        cells = _cells(decoder, decoder.match(prepared), side_px)
+        cells = _cells(decoder, decoder.match(prepared).volume, side_px)
         errors.append(_inside(cells.vergence_per_m[_whole(cells)], decoder, side_px) * bound.depth_m - 1.0)
     return np.concatenate(errors), np.tile(window_bounds(bound, decoder, side_px), len(errors))
 

@@ -35,7 +35,6 @@ from metafab.cell import CellNumerics, PillarCell, rcwa
 from metafab.cell.meep import Pool, SupercellSettings, solve_supercell
 from metafab.cell.supercell import Supercell, SupercellResponse
 from metafab.core.conventions import ComplexArray, FloatArray
-from metafab.fullwave.patch import at_sites
 from metafab.layout import Lattice
 from metafab.optics import Imaging, PsfNumerics, psf
 from metafab.optics.geometry.polarisation import FocusIntegrals
@@ -181,7 +180,7 @@ def rows(quick: bool, sites: int = 29, pixels_per_period: int = 12) -> list[dict
     s_z = 1.0 / np.sqrt(1.0 + s_x**2 + s_y**2)
     # E_x of a site of power amplitude a is a (1 - s_x^2 / (1 + s_z)) / sqrt(s_z).
     per_e_x = np.sqrt(s_z) / (1.0 - (s_x * s_z) ** 2 / (1.0 + s_z))
-    e_x = at_sites(supercell, answer.order, answer.amplitude[:, 0])[PADDING:-PADDING, PADDING:-PADDING]
+    e_x = supercell.at_sites(answer.order, answer.amplitude[:, 0])[PADDING:-PADDING, PADDING:-PADDING]
     lone = answer.responses[PADDING:-PADDING, PADDING:-PADDING] * inside
     power = math.sqrt(n_out / n_in)
     found = {

@@ -17,6 +17,8 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.optics.point_spread import Psf
 
+#: Newton's steps to a direction. Over the field of the small lens the image is then 1e-13 um off, after three steps
+#: 1e-8 um.
 _NEWTON_STEPS = 4
 #: Share of the calibrated field by which directions may lie outside of it on either side.
 _BEYOND = 0.05

@@ -38,7 +38,9 @@ _RECORDS = {
     "sio2": ("SiO2/Malitson",),
     "al2o3": ("Al2O3/Malitson",),
 }
+#: Most wavelengths in the pillar's material that a period spans, and the proposed over the widest period.
 _WIDEST, _MARGIN = 1.65, 0.93
+#: Least index of a pillar.
 _LEAST_INDEX = 1.3
 #: Shortest wavelength; a smaller number is one in um.
 _SHORTEST_NM = 10.0

@@ -100,11 +100,19 @@ class Supercell:
         ``orders`` has the shape (n_orders, 2). ``responses``, shape (n_y, n_x), are the zero-order t of each pillar in
         its own periodic cell.
         """
+        along_x, along_y = (wave.conj() for wave in self._waves(orders))
+        return np.asarray(np.einsum("oy,yx,ox->o", along_y, responses, along_x, optimize=True) / responses.size)
+
+    def at_sites(self, orders: IntArray, amplitude: ComplexArray) -> ComplexArray:
+        """Sum of orders, shape (n_orders, 2), with amplitudes (n_orders,) at the sites: shape (n_y, n_x)."""
+        along_x, along_y = self._waves(orders)
+        return np.asarray((along_y * amplitude[:, None]).T @ along_x)
+
+    def _waves(self, orders: IntArray) -> tuple[ComplexArray, ComplexArray]:
+        """Phase factors of orders at the sites from the middle of the supercell: (n_orders, n_x), (n_orders, n_y)."""
         n_y, n_x = self.shape
         x, y = (((np.arange(count) + 0.5) / count - 0.5) for count in (n_x, n_y))
-        along_x = np.exp(-2j * np.pi * orders[:, :1] * x)
-        along_y = np.exp(-2j * np.pi * orders[:, 1:] * y)
-        return np.asarray(np.einsum("oy,yx,ox->o", along_y, responses, along_x, optimize=True) / (n_x * n_y))
+        return np.exp(2j * np.pi * orders[:, :1] * x), np.exp(2j * np.pi * orders[:, 1:] * y)
 
 
 def exchanged_site(cell: PillarCell) -> PillarCell:

@@ -29,7 +29,7 @@ def headlines(summary: RunSummary, folder: Path) -> dict[str, str]:
         lines["transmittance"] = f"{100.0 * layout.mean_transmittance:.1f} %"
     if (drc := summary.drc) is not None:
         if drc.min_gap_nm is not None:
-            lines["smallest gap"] = f"{drc.min_gap_nm:g} nm"
+            lines["smallest drawn gap"] = f"{drc.min_gap_nm:g} nm"
         lines["rules broken"] = str(summary.violations)
     if summary.exposure is not None:
         lines["printed sizes"] = _printed(summary.exposure)

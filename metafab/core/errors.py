@@ -56,6 +56,10 @@ class InputError(MetafabError):
         return (type(self), (self.source, self.faults))
 
 
+class SpecError(InputError, ValueError):
+    """Unusable values of a spec that Python makes by itself; a ValueError, too."""
+
+
 class SolverError(MetafabError):
     """A solver reached no trustworthy answer."""
 

@@ -113,6 +113,17 @@ def decode(
 
 
 @dataclass(frozen=True)
+class MatchedFrame:
+    """A frame whose twins are compared over depth."""
+
+    prepared: PreparedFrame  #: Registered twins.
+    volume: CostVolume  #: Cost volume over the candidate depths.
+    #: Returns the cost volume by filters that keep textures in their place; computed once, with the first continuous
+    #: surface.
+    volume_in_place: Callable[[], CostVolume]
+
+
+@dataclass(frozen=True)
 class DecodedFrame:
     """All results of which a frame's 4D image is made."""
 
@@ -185,7 +196,7 @@ class Decoder:
             prepared = self.prepare(frame)
             if isinstance(prepared, str):
                 return np.full(self.calibration.grid.shape, np.nan)
-            pixels = textured_pixel_depth(prepared, self.match(prepared))
+            pixels = textured_pixel_depth(prepared, self.match(prepared).volume)
         return full_depth_m(pixels, self.filters.downsampling.step, self.calibration.grid.shape)
 
     def __call__(self, frame: RawFrame, *, progress: Progress = silent) -> Image4D:
@@ -195,7 +206,7 @@ class Decoder:
             prepared = self.prepare(frame)
             if isinstance(prepared, str):
                 return _empty(self.calibration.grid.shape, frame, prepared, started, self.calibration.grid)
-            image = self.image(self.complete(prepared, self.match(prepared, progress)))
+            image = self.image(self.complete(self.match(prepared, progress)))
         return evaluated(image, frame, seconds=time.perf_counter() - started)
 
     def prepare(self, frame: RawFrame) -> PreparedFrame | str:
@@ -213,9 +224,11 @@ class Decoder:
             return f"expected a grey frame of {grid.frame_shape}, got one of {values.shape}, {values.dtype}"
         return PreparedFrame.of(frame, grid, self.filters.downsampling, self.calibration.spill)
 
-    def match(self, prepared: PreparedFrame, progress: Progress = silent) -> CostVolume:
-        """Cost volume of the twins over the candidate depths."""
-        return self.filters.volume(prepared.spectra, prepared.levels, prepared.lit, progress)
+    def match(self, prepared: PreparedFrame, progress: Progress = silent) -> MatchedFrame:
+        """Compare the twins over the candidate depths."""
+        compared = prepared.spectra, prepared.levels, prepared.lit
+        in_place = cache(lambda: self.filters_in_place.volume(*compared, silent))
+        return MatchedFrame(prepared, self.filters.volume(*compared, progress), in_place)
 
     @cached_property
     def layer_optics(self) -> LayerOptics:
@@ -232,37 +245,21 @@ class Decoder:
                 self.calibration, vergences, numerics.basis_error, compensate=compensate, step=step, in_place=True
             )
 
-    def volume_in_place(self, prepared: PreparedFrame) -> Callable[[], CostVolume]:
-        """Return the function that returns the cost volume of a frame's continuous surfaces, computed once."""
-        return cache(lambda: self.filters_in_place.volume(prepared.spectra, prepared.levels, prepared.lit, silent))
-
-    def complete(self, prepared: PreparedFrame, volume: CostVolume) -> DecodedFrame:
+    def complete(self, matched: MatchedFrame) -> DecodedFrame:
         """Depths, segments and sharp images of a frame."""
-        in_place = self.volume_in_place(prepared)
         with kept_threads() as pool:
-            tiles = pool.submit(self.tile_spectra, prepared)
-            pixels, regions = self.segment(prepared, volume, in_place)
-        return self.sharpen(prepared, volume, pixels, regions, tiles.result(), in_place)
+            tiles = pool.submit(self.tile_spectra, matched.prepared)
+            pixels, regions = self.segment(matched)
+        return self.sharpen(matched, pixels, regions, tiles.result())
 
     def tile_spectra(self, prepared: PreparedFrame) -> TileSpectra:
         """Transforms of the tiles of a frame that are deconvolved."""
         near_light = repeated(prepared.near_light, self.filters.downsampling.step, self.calibration.grid.shape)
         return self.deconvolver.tile_spectra(prepared.twins.image, near_light)
 
-    def segment(
-        self,
-        prepared: PreparedFrame,
-        volume: CostVolume,
-        in_place: Callable[[], CostVolume] | None = None,
-        *,
-        surfaces: bool = True,
-    ) -> tuple[PixelDepth, Regions]:
-        """Depth of each pixel, and segments.
-
-        ``in_place`` is :meth:`volume_in_place` of the frame, where others use it, too; ``surfaces``: whether continuous
-        surfaces are sought.
-        """
-        in_place = in_place or self.volume_in_place(prepared)
+    def segment(self, matched: MatchedFrame, *, surfaces: bool = True) -> tuple[PixelDepth, Regions]:
+        """Depth of each pixel, and segments; ``surfaces``: whether continuous surfaces are sought."""
+        prepared, volume = matched.prepared, matched.volume
         pixels = textured_pixel_depth(prepared, volume)
         numerics = replace(self.numerics.segmentation, surfaces=surfaces)
         optics = self.layer_optics if numerics.refined and self.numerics.modelled else None
@@ -274,20 +271,13 @@ class Decoder:
             numerics=numerics,
             optics=optics,
             filters=filters,
-            volume_in_place=in_place,
+            volume_in_place=matched.volume_in_place,
         )
         return pixels, regions
 
-    def sharpen(
-        self,
-        prepared: PreparedFrame,
-        volume: CostVolume,
-        pixels: PixelDepth,
-        regions: Regions,
-        tiles: TileSpectra,
-        in_place: Callable[[], CostVolume] | None = None,
-    ) -> DecodedFrame:
-        """Sharp images of a segmented frame, and outlines that follow them; ``in_place`` as in :meth:`segment`."""
+    def sharpen(self, matched: MatchedFrame, pixels: PixelDepth, regions: Regions, tiles: TileSpectra) -> DecodedFrame:
+        """Sharp images of a segmented frame, and outlines that follow them."""
+        prepared, volume = matched.prepared, matched.volume
         step, shape = self.filters.downsampling.step, self.calibration.grid.shape
         label, vergences = focus_depths(prepared, regions, volume.vergences_per_m)
         depths = repeated(label, step, shape), vergences
@@ -295,8 +285,7 @@ class Decoder:
         # Moved outlines leave the sharp images: deconvolved again at the new depths, they would be 0.3 dB worse.
         lit = lit_pixels(prepared, sharp)
         if regions.continuous:
-            in_place = in_place or self.volume_in_place(prepared)
-            regions = surface_at_edges(regions, prepared, in_place(), sharp)
+            regions = surface_at_edges(regions, prepared, matched.volume_in_place(), sharp)
         if self.numerics.refined:
             regions = moved_outlines(regions, sharp, step, lit)
         if self.numerics.refined and self.numerics.modelled:

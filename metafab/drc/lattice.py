@@ -23,6 +23,7 @@ from metafab.spec import Design
 if TYPE_CHECKING:
     from hashlib import _Hash
 
+#: Rows of sites that are checked at a time.
 _BAND_ROWS = 256
 
 

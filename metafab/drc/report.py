@@ -41,8 +41,8 @@ class DrcReport:
     violations: dict[str, int]  #: Count by rule, zero included, of the rules that this engine checks.
     #: Up to :data:`MARKERS` places of each rule that is violated.
     markers: dict[str, tuple[Marker, ...]] = field(default_factory=dict)
-    #: Smallest distance between neighbours; None if it was not measured. ``lattice`` measures it if all pillars lie on
-    #: sites, ``rectangles`` if some pair is at or below the rule.
+    #: Smallest gap between drawn neighbours, with ``mask.bias_nm``; None if it was not measured. ``lattice``
+    #: measures it if all pillars lie on sites, ``rectangles`` if some pair is at or below the rule.
     min_gap_nm: float | None = None
     #: Number of shapes on other layers, which no rule concerns, by "layer/datatype".
     other_layers: dict[str, int] = field(default_factory=dict)

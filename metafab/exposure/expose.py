@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from metafab.core.arguments import require_types
 from metafab.core.conventions import Float32Array, FloatArray
 from metafab.core.errors import InputError
 from metafab.core.parallel.work import Work
@@ -122,6 +123,7 @@ def expose_lenses(
             dose at which nothing prints.
     """
     first = lenses[0]
+    require_types("exposure", pillars=(first.pillars, PillarMap), psf=(psf, BeamPsf))
     if correction == "shape" and len(lenses) > 1:
         expected, remedy = "one lens, whose shapes are corrected", 'correct each alone, or use "dose"'
         raise InputError.single("exposure", "lenses", expected, f"{len(lenses)}", remedy)

@@ -34,8 +34,8 @@ _CONVERGENCE_MRAD = 5.0
 _MOST_CORRELATED = 0.9999
 #: Residual in standard deviations above which Huber's loss is linear: an efficiency of 95 % for normal noise.
 _HUBER = 1.345
-#: Median magnitude of a normal deviation, in standard deviations.
-_MEDIAN = 0.6745
+#: Median magnitude of a normal deviate, in standard deviations: Phi^-1(3/4).
+_MEDIAN_PER_SIGMA = 0.6745
 #: Least standard deviation of a size (nm), below that of any microscope; the printed sizes are exact to 1e-3 nm.
 _LEAST_NOISE_NM = 0.02
 #: Most fits by Huber's loss, each with the standard deviation of the one before, and the change of it that ends them.
@@ -210,7 +210,7 @@ def _robust(
     found, deviation_nm = least_squares(residuals, inner, **options), math.inf
     for _ in range(_ROUNDS):
         before_nm, magnitude_nm = deviation_nm, np.sort(np.abs(found.fun))
-        deviation_nm = max(_LEAST_NOISE_NM, float(np.median(magnitude_nm[start.size :])) / _MEDIAN)
+        deviation_nm = max(_LEAST_NOISE_NM, float(np.median(magnitude_nm[start.size :])) / _MEDIAN_PER_SIGMA)
         if abs(deviation_nm - before_nm) < _SETTLED * deviation_nm or _HUBER * deviation_nm >= magnitude_nm[-1]:
             break
         found = least_squares(residuals, found.x, loss="huber", f_scale=_HUBER * deviation_nm, **options)

@@ -9,9 +9,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
-from metafab.core.errors import Fault, InputError
+from metafab.core.errors import Fault, InputError, SpecError
 from metafab.core.parallel.work import Work
 from metafab.core.storage.files import whole_file
 from metafab.exposure.beside_lens import read_lenses
@@ -21,7 +20,6 @@ from metafab.exposure.size_model import MeasuredLens, Parameter
 from metafab.layout.outlines import Outline
 from metafab.mask.measured import MeasuredTable, read_measured
 from metafab.spec import Design, UnitCell, canonical_toml
-from metafab.spec.keys.faults import faults_of
 from metafab.spec.mask import Etch, ExposureProcess, Process
 
 #: Columns of the table whose means become properties of the etch.
@@ -158,11 +156,11 @@ def _etched(design: Design, means: dict[str, Any], table: Path) -> tuple[Etch, U
     try:
         made = replace(etch, **means)
         return made, replace(design.unit_cell, cell=replace(design.unit_cell.cell, **means))
-    except ValidationError as error:
+    except SpecError as error:
         listed = ", ".join(f"{name} {value:g}" for name, value in means.items())
         faults = [
             replace(fault, field=fault.field if fault.field in means else ", ".join(means), got=f"a mean of {listed}")
-            for fault in faults_of(error, Etch)
+            for fault in error.faults
         ]
         raise InputError(str(table), faults) from error
 

@@ -20,7 +20,6 @@ from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
-from pydantic.dataclasses import dataclass
 
 from metafab.cell import solve as solve_cell
 from metafab.cell.elements.solve import ElementNumerics, require_treated, supercell_orders
@@ -39,7 +38,7 @@ from metafab.fullwave.written import site_cell
 from metafab.library import Library
 from metafab.library.neighbours import has_joint_effect, solve_supercell
 from metafab.library.sweep.checkpoint import Checkpoint
-from metafab.spec.fields import CONFIG, NonNegative
+from metafab.spec.fields import NonNegative, spec
 from metafab.spec.toml import validate
 
 Solver: TypeAlias = Literal["model", "rcwa", "meep", "lone"]
@@ -58,7 +57,7 @@ _MOST_MEEP_MB = 8000.0
 _Sizes = Annotated[list[Annotated[list[NonNegative], Field(min_length=1)]], Field(min_length=1)]
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Block:
     """Pillars of one supercell, rows from the lowest y, columns from the lowest x; sizes of 0 mark empty sites."""
 
@@ -85,7 +84,7 @@ def _span(counts: list[int]) -> str:
     return str(low) if low == high else f"{low} to {high}"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Blocks:
     """Content of ``BLOCKS.json``."""
 

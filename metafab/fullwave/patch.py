@@ -9,7 +9,6 @@ period (no evanescent ones), traced back to the plane where the pillars end and 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +16,7 @@ import numpy as np
 
 from metafab.cell.meep import Pool, SupercellSettings, estimate, solve_supercell
 from metafab.cell.meep.supercell import Cost
-from metafab.cell.supercell import IntArray, Supercell
+from metafab.cell.supercell import Supercell
 from metafab.core.conventions import POLARISATIONS, ComplexArray, FloatArray, Polarisation
 from metafab.core.errors import InputError
 from metafab.core.parallel.progress import Progress, silent
@@ -158,13 +157,13 @@ def solve_patch(
     stored = library_responses(supercell, library)[POLARISATIONS.index(polarisation)]
 
     def field(amplitude: ComplexArray) -> ComplexArray:
-        return _inside(at_sites(supercell, answer.order, amplitude), padding)
+        return _inside(supercell.at_sites(answer.order, amplitude), padding)
 
     neighbours = None
     if library.neighbours is not None and np.all(supercell.size_nm > 0.0):
         model = solve_by_model(library, supercell)
         axis = POLARISATIONS.index(polarisation)
-        neighbours = _inside(at_sites(supercell, model.order, model.t[:, axis, axis]), padding)
+        neighbours = _inside(supercell.at_sites(model.order, model.t[:, axis, axis]), padding)
     return Patch(
         x_um=plan.x_um[padding : plan.x_um.size - padding],
         y_um=plan.y_um[padding : plan.y_um.size - padding],
@@ -178,18 +177,6 @@ def solve_patch(
         padding_sites=padding,
         neighbours=neighbours,
     )
-
-
-def at_sites(supercell: Supercell, order: IntArray, amplitude: ComplexArray) -> ComplexArray:
-    """Return the sum of n diffraction orders at the sites of a supercell, shape (n_y, n_x).
-
-    Orders along x and y have the shape (n, 2), their amplitudes (n,).
-    """
-    n_y, n_x = supercell.shape
-    x, y = (((np.arange(count) + 0.5) / count - 0.5) for count in (n_x, n_y))
-    along_x = np.exp(2j * math.pi * order[:, :1] * x)
-    along_y = np.exp(2j * math.pi * order[:, 1:] * y)
-    return np.asarray((along_y * amplitude[:, None]).T @ along_x)
 
 
 def save_patch(patch: Patch, path: Path, *, inputs_sha256: str) -> None:

@@ -71,7 +71,7 @@ def measure_orders(
     try:
         cell = site_cell(library)
         blocks = [library_responses(Supercell(cell, sizes), library) for sizes in _blocks(pillars)]
-        repeat = [_repeat(blocks, axis) for axis in (0, 1)]
+        repeat = [repeat_sites(blocks, axis) for axis in (0, 1)]
         if 0 in repeat:
             axes = " and ".join("yx"[axis] for axis in (1, 0) if repeat[axis] == 0)
             return OrdersFigures(reason=f"the pillars do not repeat within {_LONGEST_SITES} sites along {axes}")
@@ -86,7 +86,7 @@ def measure_orders(
         return OrdersFigures(reason=f"{text}; `metafab coupling` solves single rows")
     chosen = np.unique(np.linspace(0, len(supercells) - 1, count).round().astype(int))
     supercells, weight = [supercells[i] for i in chosen], windows.weight[chosen]
-    found = _solve_windows(supercells, weight, executor or SerialExecutor(), progress)
+    found = solve_windows(supercells, weight, executor or SerialExecutor(), progress)
     drift = tuple(_drift(blocks, axis, repeat[axis]) for axis in (1, 0))
     unsolved = 1.0 - (1.0 - windows.unseen) * len(chosen) / len(windows.sizes_nm)
     return _figures(supercells, weight, found, library, drift, unsolved)
@@ -112,7 +112,7 @@ def _correlation(t: ComplexArray, axis: int, shift: int) -> complex:
     return complex(np.vdot(here[both], there[both])) / norm if norm else 0.0
 
 
-def _repeat(blocks: Sequence[ComplexArray], axis: int) -> int:
+def repeat_sites(blocks: Sequence[ComplexArray], axis: int) -> int:
     """Sites after which all blocks, shape (2, n_y, n_x), and both polarisations repeat along an axis; 0 if none do."""
     reach = min(block.shape[1 + axis] for block in blocks) // 2
     shifts = range(reach + 1)
@@ -191,7 +191,7 @@ def _seconds(supercell: Supercell) -> float:
 
 
 @dataclass(frozen=True)
-class _Solved:
+class SolvedWindows:
     """Windows at the coarse resolution, and some of them at the fine one."""
 
     coarse: FloatArray  #: Efficiencies, shape (n_windows, 2, n_orders).
@@ -200,13 +200,16 @@ class _Solved:
     change: FloatArray  #: Efficiencies of these windows less the coarse ones, shape (n_fine, 2, n_orders).
 
 
-def _solve_windows(
+def solve_windows(
     supercells: Sequence[Supercell], weight: FloatArray, executor: Executor, progress: Progress
-) -> _Solved:
-    """Solve all windows at the coarse resolution, and at the fine one until the mean change is known."""
+) -> SolvedWindows:
+    """Solve all windows at the coarse resolution, and at the fine one until the mean change is known.
+
+    ``weight``: shape (n_windows,), weight of each window in the mean.
+    """
     (low, high), count, cell = _resolutions(supercells[0].cell), len(supercells), supercells[0].cell
     coarse = []
-    for done, (_, efficiency) in enumerate(in_order(executor, _solve, [(each, low) for each in supercells]), 1):
+    for done, (_, efficiency) in enumerate(in_order(executor, solve_window, [(each, low) for each in supercells]), 1):
         coarse.append(efficiency)
         progress("supercells", done, count)
     # Both ends of the mask and its middle come first.
@@ -217,20 +220,20 @@ def _solve_windows(
     while fine < count:
         step = order[fine : (fine + 2 if fine else _FINE_WINDOWS)]
         for i, (amplitude, efficiency) in zip(
-            step, in_order(executor, _solve, [(supercells[i], high) for i in step]), strict=True
+            step, in_order(executor, solve_window, [(supercells[i], high) for i in step]), strict=True
         ):
             t.append(amplitude)
             change.append(efficiency - coarse[i])
             fine += 1
             progress("supercells, finer", fine, count)
-        solved = _Solved(np.array(coarse), np.array(order[:fine]), np.array(t), np.array(change))
-        _, error, truncation = _correction(solved, weight, cell)
+        solved = SolvedWindows(np.array(coarse), np.array(order[:fine]), np.array(t), np.array(change))
+        _, error, truncation = mean_change(solved, weight, cell)
         if np.all(error <= _KNOWN * truncation):
             break
     return solved
 
 
-def _solve(work: tuple[Supercell, float]) -> tuple[ComplexArray, FloatArray]:
+def solve_window(work: tuple[Supercell, float]) -> tuple[ComplexArray, FloatArray]:
     """Amplitudes at a resolution, shape (n_orders, out, in), and efficiencies, shape (2, n_orders)."""
     supercell, resolution = work
     t = orders_at(supercell, POLARISATIONS, resolution)
@@ -245,7 +248,9 @@ def _mean(values: FloatArray, weight: FloatArray, unsolved: float) -> tuple[Floa
     return mean, np.sqrt(variance * unsolved / max(len(values) - 1, 1))
 
 
-def _correction(found: _Solved, weight: FloatArray, cell: PillarCell) -> tuple[FloatArray, FloatArray, FloatArray]:
+def mean_change(
+    found: SolvedWindows, weight: FloatArray, cell: PillarCell
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Mean change, its standard error, and the bound on the error of fine efficiencies; shape (2, n_orders) each."""
     of_fine = weight[found.fine]
     mean, error = _mean(found.change, of_fine, 1.0 - len(found.fine) / len(weight))
@@ -262,7 +267,7 @@ def _efficiency(supercell: Supercell, order: IntArray, t: ComplexArray) -> Float
 def _figures(
     supercells: Sequence[Supercell],
     weight: FloatArray,
-    found: _Solved,
+    found: SolvedWindows,
     library: Library,
     drift: Sequence[Sequence[float]],
     unsolved: float,
@@ -281,7 +286,7 @@ def _figures(
     # As in the PSFs, a site carries the flux |t|^2 n_out / n_in of its lattice into the direction of the order.
     carried = np.array([n_out.real / n_in.real for n_out, n_in in zip(one.cell.n_out, one.cell.n_in, strict=True)])
     by_library = np.einsum("w,wopp->po", weight / weight.sum(), np.abs(lone) ** 2) * carried[:, None]
-    change, change_error, truncation = _correction(found, weight, one.cell)
+    change, change_error, truncation = mean_change(found, weight, one.cell)
     mean, spread = _mean(found.coarse, weight, unsolved)
     mean += change
     seam = 1.0 - np.prod(np.sinc(np.array(drift)) ** 2, axis=0)

@@ -71,7 +71,7 @@ class Assignment(Displayed):
         found = self.figures
         return {
             "pillars": f"{found.pillars} of {found.distinct_sizes} sizes",
-            "smallest gap": "-" if found.min_gap_nm is None else f"{found.min_gap_nm:g} nm",
+            "smallest standing gap": "-" if found.min_gap_nm is None else f"{found.min_gap_nm:g} nm",
             "light in the wanted wave": f"{found.efficiency:.3f}",
             "phase error": f"{found.phase_rms_error_rad:.3f} rad rms",
         }

@@ -28,6 +28,7 @@ from metafab.layout.outlines import RECTANGLE, Outline
 from metafab.layout.pillars import Lattice, SizeIndexArray
 from metafab.library import SizeTable
 
+#: Colours along each axis: moves of sites this many apart, two rings each, do not interfere.
 _COLOURS = 4
 
 # Candidates are listed for _CELLS x _CELLS pairs of phases, in steps of 0.025 rad; they are the best sizes within

@@ -23,6 +23,7 @@ from metafab.spec import Design
 #: GDSII has no limit of its own, but many readers count bytes in 32 bits.
 GDSII_COMFORT_BYTES = 2**31
 
+#: Tiles that are mapped for the estimate of a whole mask.
 _SAMPLED_TILES = 16
 
 

@@ -44,9 +44,13 @@ def refractive_index(material: Material, wavelength_nm: float) -> IndexPair:
     (``wavelength_nm,n,k``), or ``shelf/book/page`` of refractiveindex.info (extra ``materials``).
 
     Raises:
-        InputError: no such record, an unusable CSV file, or a wavelength outside the range of the record.
+        InputError: a name in place of a material, no such record, an unusable CSV file, or a wavelength outside the
+            range of the record.
         MissingToolError: the record needs a package that is not installed.
     """
+    if isinstance(material, str):
+        remedy = f"`Material(record={material!r})` is one"
+        raise InputError.single("materials", "material", "a Material", repr(material), remedy)
     if material.record is not None:
         return _record(material.record).at(wavelength_nm)
     if material.n is None:  # the spec allows exactly one of the two

@@ -99,8 +99,8 @@ def read_table(path: Path, name: str) -> IndexRecord:
         got = f"{wavelength_nm[first + 1]:g} nm after {wavelength_nm[first]:g} nm in line {numbers[2 + first]}"
         raise refuse(got, "sort the rows by wavelength, each once")
 
-    def index(wavelength: float) -> complex:
-        return complex(np.interp(wavelength, wavelength_nm, n), np.interp(wavelength, wavelength_nm, k))
+    def index(at_nm: float) -> complex:
+        return complex(np.interp(at_nm, wavelength_nm, n), np.interp(at_nm, wavelength_nm, k))
 
     citation = comments[0] if comments else f"the file {path.name}"
     return IndexRecord(name, citation, (float(wavelength_nm[0]), float(wavelength_nm[-1])), isotropic(index))

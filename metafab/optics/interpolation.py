@@ -15,6 +15,7 @@ from metafab.core.numeric.interpolation import spline_weights
 from metafab.optics.geometry.imaging import Tangent
 from metafab.optics.point_spread import Psf
 
+#: Fewest depths between which a cubic spline interpolates.
 _FEWEST_NODES = 4
 #: Axis of the depths in each array of a stack.
 _DEPTH_AXIS = {

@@ -119,8 +119,8 @@ def _numerics_faults(imaging: Imaging, numerics: PsfNumerics) -> list[Fault]:
     faults = []
     if not 0.0 < imaging.pixel_um < math.inf:
         faults.append(Fault("pixel_um", "a finite number above 0", f"{imaging.pixel_um:g} um"))
-    if numerics.window_px < 1:
-        faults.append(Fault("window_px", "at least 1 point along a side", str(numerics.window_px)))
+    if not isinstance(numerics.window_px, int | np.integer) or numerics.window_px < 1:
+        faults.append(Fault("window_px", "a whole number of points along a side, at least 1", str(numerics.window_px)))
     filter_nm = numerics.filter_fwhm_nm
     smallest = _SMALLEST_TARGET if filter_nm is None else SMALLEST_TARGET_IN_BAND
     if not smallest <= numerics.target_error < 1.0:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from metafab.core.arguments import require_types
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
 from metafab.core.figures import PhaseFigures
@@ -43,6 +44,7 @@ def profile_of(design: Design, *, progress: Progress = silent) -> PhaseProfile:
     ``spiral_zones`` is optimised as its ``optimise`` says, for the aperture of the design and over one full turn of the
     lobe. An unusable array or picture, and two terms with spiral zones for one polarisation, raise InputError.
     """
+    require_types("phase", design=(design, Design))
     helices = [term.polarisation for term in design.phase if isinstance(term, spec.SpiralZones)]
     if len(helices) > 1 and (None in helices or len(set(helices)) < len(helices)):
         expected = "at most one `spiral_zones` term for each polarisation"

@@ -16,9 +16,8 @@
 - ``toml``     TOML -> spec, reporting all faults of a file; spec -> canonical TOML
 - ``load``     unit-cell, scene, process and design files, with the files that they reference
 
-In: paths. Out: frozen dataclasses whose public names carry their units. Files, :func:`make_unit_cell` and
-:func:`make_design` report all faults at once by an InputError; a spec that Python makes alone, such as a Scene, refuses
-them by pydantic's ValidationError, a ValueError.
+In: paths. Out: frozen dataclasses whose public names carry their units. All report their faults at once by an
+InputError: that of a spec that Python makes by itself, such as a Scene, is a SpecError, which is a ValueError, too.
 """
 
 from metafab.spec.cell import Axes as Axes

@@ -10,14 +10,13 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BeforeValidator, Field, model_validator
-from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import FloatArray, Side
 from metafab.core.errors import InputError
-from metafab.spec.fields import BOTH, CONFIG, Checked, NonNegative, Positive, Real, TargetError
+from metafab.spec.fields import BOTH, Checked, NonNegative, Positive, Real, TargetError, spec
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Material(Checked):
     """A refractive index n + ik by numbers or by the name of a record."""
 
@@ -63,7 +62,7 @@ _MOST_STEPS = 10_000
 SidewallAngle = Annotated[float, Field(strict=True, ge=60.0, le=120.0)]
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Layer(Checked):
     """A uniform layer of one isotropic material."""
 
@@ -75,7 +74,7 @@ class Layer(Checked):
             yield "`material`: only the substrate may be birefringent"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class CellGeometry(Checked):
     """Geometry of the unit cell: one pillar centred in a rectangular or hexagonal lattice cell."""
 
@@ -156,7 +155,7 @@ class CellGeometry(Checked):
             raise InputError.single(str(table), "sizes", expected, got, _SHAPE_REMEDY)
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class CellMaterials(Checked):
     """Materials of the pillar, of the half space below it and of the half space above it."""
 
@@ -171,7 +170,7 @@ class CellMaterials(Checked):
                 yield f"`{name}.{key}`: only the substrate may be birefringent"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Illumination:
     """Incident plane wave: vacuum wavelength and side of incidence."""
 
@@ -179,7 +178,7 @@ class Illumination:
     side: Side = "substrate"  #: Side from which the light comes.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Axes(Checked):
     """Further axes of a library beyond the sizes, each a range [lowest, highest]; all optional.
 
@@ -217,7 +216,7 @@ class Axes(Checked):
             yield "give `angle_x_deg` or `angle_y_deg`, not both: between the planes polarisations mix"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Sweep(Checked):
     """Sizes of a library, and its target error."""
 
@@ -242,14 +241,14 @@ class Sweep(Checked):
                 )
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Solver:
     """Solver that builds the library."""
 
     name: Literal["rcwa", "meep"] = "rcwa"  #: Solver that builds the library.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Neighbours:
     """Training of the model of unlike neighbours, which a library holds if its unit cell has this table."""
 
@@ -265,7 +264,7 @@ class Neighbours:
     blocks: Annotated[int, Field(strict=True, ge=0, le=2000)] = 64
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class UnitCell(Checked):
     """A unit-cell file (``unitcell_lib/NAME.toml``)."""
 

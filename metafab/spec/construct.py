@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from metafab.core.arguments import is_several
+from metafab.core.arguments import is_several, require_types
 from metafab.core.conventions import Side
 from metafab.spec.cell import UnitCell
 from metafab.spec.design import Design
@@ -38,6 +38,9 @@ def make_unit_cell(
     target_error: float = 2e-3,
 ) -> UnitCell:
     """Make a unit cell; InputError with all faults.
+
+    The other keys of a unit-cell file, such as films, sloped walls or further axes, keep their defaults until
+    :func:`dataclasses.replace` sets them: ``replace(cell, cell=replace(cell.cell, sidewall_angle_deg=88.0))``.
 
     ``period_nm`` is one number or (x, y); ``pillar``, ``substrate`` and ``ambient`` are refractive indices n + ik, or
     names of material records. ``sizes_nm`` are the smallest and largest width and length of a pillar, ``size_grid_nm``
@@ -78,7 +81,10 @@ def make_design(
     window_px: int = 64,
     target_error: float = 1e-3,
 ) -> Design:
-    """Make a design; the other keys of a design file keep their defaults. InputError with all faults.
+    """Make a design; InputError with all faults.
+
+    The other keys of a design file keep their defaults until :func:`dataclasses.replace` sets them:
+    ``replace(design, rules=replace(design.rules, gap_rule="pairs"))``.
 
     Args:
         aperture_um: diameter, or side of a square.
@@ -91,6 +97,7 @@ def make_design(
         formats: formats of the mask; none for a lens simulated from its target phases.
         target_error: relative error of the PSFs.
     """
+    require_types("design", cell=(cell, UnitCell))
     table = {
         "name": name,
         "library": Path("library.h5"),

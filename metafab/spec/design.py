@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Annotated
 
 from pydantic import Field
-from pydantic.dataclasses import dataclass
 
 from metafab.spec.cell import UnitCell
 from metafab.spec.device import Device, Optics, Rules, Sensor
 from metafab.spec.fields import (
     BOTH,
-    CONFIG,
     Checked,
     DepthOrInfinity,
     Flag,
@@ -23,6 +21,7 @@ from metafab.spec.fields import (
     Positive,
     Real,
     TargetError,
+    spec,
 )
 from metafab.spec.light import Light
 from metafab.spec.mask import Mask, Process
@@ -41,7 +40,7 @@ _LEAST_RULE = 1e-3
 MAX_WINDOW_PX = 2048
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Verify(Checked):
     """Depths, window and number of field points at which the written mask is simulated.
 
@@ -65,7 +64,7 @@ class Verify(Checked):
             yield "`depths_m` must hold at least one depth, in increasing order"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Tolerances:
     """Fabrication tolerances; a run with this table simulates the PSFs at each of its corners. 0 omits a tolerance."""
 
@@ -82,7 +81,7 @@ class Tolerances:
     draws: Annotated[int, Field(strict=True, ge=2, le=1000)] = 8
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Measured:
     """Measured figures of the made device, shown with the simulated ones; all optional."""
 
@@ -95,7 +94,7 @@ class Measured:
     source: str = ""  #: Reference of the measured figures.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Numerics:
     """Numerical settings."""
 
@@ -104,7 +103,7 @@ class Numerics:
     iterations: NonNegative = 200  #: Most iterations of an optimisation.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Limits:
     """Limits on what reading a file may take; a small file can state more than any machine holds.
 
@@ -122,7 +121,7 @@ class Limits:
     seconds: Positive | None = None
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Design(Checked):
     """A design file (``layouts/NAME.toml``) with its unit cell and scene resolved.
 
@@ -163,7 +162,7 @@ class Design(Checked):
                     f"{getattr(self.rules, name):g}; is it in nanometres?"
                 )
         yield from self._faults_of_rings()
-        if self.verify.centre_um is not None and (self.split_angle_deg or self.scene is not None):
+        if self.verify.centre_um is not None and self.windows_follow_images:
             yield (
                 "`verify.centre_um` moves the window of a device without scene and `split_lens`, whose windows follow "
                 "the images of objects"
@@ -306,11 +305,16 @@ class Design(Checked):
         focusing = any(isinstance(term, Lens | Radial | SplitLens) for term in self.phase)
         return focusing and not any(term.blurs for term in self.phase)
 
+    @property
+    def windows_follow_images(self) -> bool:
+        """Whether the PSF windows follow the images of objects; otherwise ``verify.centre_um`` may place them."""
+        return bool(self.split_angle_deg) or self.scene is not None
+
     def at_light(self, light: Light) -> Design:
         """Return the design for one light alone: with its wavelength, and with its phase terms if it has its own.
 
         Raises:
-            ValidationError: the unit cell's lengths do not suit the wavelength.
+            SpecError: the unit cell's lengths do not suit the wavelength.
         """
         unit_cell, illumination = self.unit_cell, self.unit_cell.illumination
         if light.wavelength_nm != illumination.wavelength_nm:

@@ -10,16 +10,15 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field
-from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import FloatArray
-from metafab.spec.fields import CONFIG, Checked, Flag, NonNegative, Positive, Real
+from metafab.spec.fields import Checked, Flag, NonNegative, Positive, Real, spec
 
 #: Largest aperture (um).
 LARGEST_APERTURE_UM = 300_000.0
 
 
-@dataclass(frozen=True, kw_only=True, config=CONFIG)
+@spec(kw_only=True)
 class Device(Checked):
     """The lens: aperture and focal length.
 
@@ -67,11 +66,11 @@ class Device(Checked):
 def _no_number(value: object) -> object:
     """Refuse 0 and 1, which are equal to false and true."""
     if isinstance(value, int | float) and not isinstance(value, bool):
-        raise ValueError(f'must be false, true or "table", got {value}')
+        raise ValueError('must be false, true or "table"')
     return value
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Rules(Checked):
     """Design rules of the process."""
 
@@ -102,7 +101,7 @@ class Rules(Checked):
             yield '`neighbours` goes with `gap_rule = "each"` and `cd_sigma_nm = 0`'
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Sensor:
     """The image sensor: pixel pitch, and the object depth for which it is in focus."""
 
@@ -110,7 +109,7 @@ class Sensor:
     focus_depth_m: Positive  #: Depth of an object that is in focus on the sensor.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Optics(Checked):
     """Optical elements besides the lens; each is optional.
 

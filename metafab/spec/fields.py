@@ -6,11 +6,17 @@ Numbers are strict: a quoted "350" is a fault, not 350.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Annotated, Self
+from collections.abc import Callable, Iterator
+from functools import wraps
+from typing import Annotated, Any, Self, TypeVar, cast, dataclass_transform
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 from pydantic.dataclasses import dataclass
+
+from metafab.core.errors import SpecError
+from metafab.spec.keys.faults import faults_of
+
+Class = TypeVar("Class", bound=type)
 
 #: Unknown keys are refused, values cannot change, defaults are checked too.
 CONFIG = ConfigDict(extra="forbid", validate_default=True)
@@ -39,7 +45,31 @@ Name = Annotated[str, Field(strict=True, min_length=1, max_length=64, pattern=r"
 BOTH = BeforeValidator(lambda value: (value, value) if isinstance(value, int | float) else value)
 
 
-@dataclass(frozen=True, config=CONFIG)
+@dataclass_transform(frozen_default=True, field_specifiers=(Field,))
+def spec(*, kw_only: bool = False) -> Callable[[Class], Class]:
+    """Make a class a frozen dataclass with validated values; SpecError with all faults if Python gives others.
+
+    Files are validated as a whole (:func:`metafab.spec.toml.validate`), with the paths of their keys.
+    """
+
+    def decorate(cls: Class) -> Class:
+        checked: Any = dataclass(frozen=True, kw_only=kw_only, config=CONFIG)(cls)
+        construct = checked.__init__
+
+        @wraps(construct)
+        def refusing(self: Any, *args: Any, **values: Any) -> None:
+            try:
+                construct(self, *args, **values)
+            except ValidationError as error:
+                raise SpecError(cls.__name__, faults_of(error, cls)) from error
+
+        checked.__init__ = refusing
+        return cast(Class, checked)
+
+    return decorate
+
+
+@spec()
 class Checked:
     """Base of the specs whose fields must fit each other."""
 

@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import Annotated
 
 from pydantic import Field
-from pydantic.dataclasses import dataclass
 
-from metafab.spec.fields import CONFIG, Positive
+from metafab.spec.fields import Positive, spec
 from metafab.spec.terms import PhaseTerm
 
 Angle = Annotated[float, Field(strict=True, gt=-90.0, lt=90.0)]
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Light:
     """One wavelength or direction that the mask serves, its weight, and its target phases."""
 

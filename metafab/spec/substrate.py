@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field
-from pydantic.dataclasses import dataclass
 
 from metafab.spec.cell import Material, MaterialOrName
-from metafab.spec.fields import CONFIG, Checked
+from metafab.spec.fields import Checked, spec
 
 #: c / a of sapphire (hexagonal axes), Kronberg, Acta Metall. 5, 507 (1957). It sets the tilt of the r-plane (1-102).
 _SAPPHIRE_C_OVER_A = 2.730
@@ -24,7 +23,7 @@ OPTIC_AXIS_DEG = {
 }
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Substrate(Checked):
     """Uniaxial plane-parallel plate that light crosses before it meets the pillars."""
 

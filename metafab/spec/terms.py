@@ -7,16 +7,15 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
-from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import Polarisation
-from metafab.spec.fields import CONFIG, Checked, Positive, Real
+from metafab.spec.fields import Checked, Positive, Real, spec
 
 #: Largest numbers of Zernike polynomials and of radial coefficients, those of Zemax' Binary 2 surface.
 _MOST_ZERNIKES, _MOST_RADIAL = 231, 240
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class _Term(Checked):
     """Base of all phase terms."""
 
@@ -28,7 +27,7 @@ class _Term(Checked):
     polarisation: Polarisation | None = None  #: Polarisation that the term acts on; both without the key.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class SpiralZones(_Term):
     """Fresnel zones with topological charges 1 to ``zones`` from the centre outwards: Eq. 2 of Shen 2023.
 
@@ -55,7 +54,7 @@ class SpiralZones(_Term):
             yield "`side_lobe_limit` needs `optimise` = 'peak'"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class SplitLens(_Term):
     """Off-axis lenses, one for each polarisation: Eqs. 3 and 4 of Shen 2023."""
 
@@ -66,7 +65,7 @@ class SplitLens(_Term):
     object_depth_m: Positive | None = None  #: Depth of the object in focus; collimated light without the key.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Lens(_Term):
     """A hyperbolic lens on the axis."""
 
@@ -75,7 +74,7 @@ class Lens(_Term):
     object_depth_m: Positive | None = None  #: Depth of the object in focus; collimated light without the key.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Vortex(_Term):
     """A spiral phase of integer charge."""
 
@@ -84,7 +83,7 @@ class Vortex(_Term):
     charge: Annotated[int, Field(strict=True)] = 1  #: Topological charge.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Grating(_Term):
     """A linear phase."""
 
@@ -94,7 +93,7 @@ class Grating(_Term):
     azimuth_deg: Real = 0.0  #: Direction of the deflection, from x towards y.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Axicon(_Term):
     """A conical phase."""
 
@@ -104,7 +103,7 @@ class Axicon(_Term):
     angle_deg: Annotated[float, Field(strict=True, gt=-90.0, lt=90.0)] = 0.0
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class DoubleHelix(_Term):
     """A double helix of Gauss-Laguerre modes."""
 
@@ -114,7 +113,7 @@ class DoubleHelix(_Term):
     modes: Annotated[int, Field(strict=True, ge=2, le=8)] = 5  #: Number of Gauss-Laguerre modes.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Zernike(_Term):
     """A Zernike polynomial, normalised to 1 at the rim, times an amplitude."""
 
@@ -133,7 +132,7 @@ class Zernike(_Term):
             )
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Zernikes(_Term):
     """A sum of Zernike polynomials by their numbers in a named convention, from number 1 on."""
 
@@ -148,7 +147,7 @@ class Zernikes(_Term):
             yield (f"`coefficients_rad` must hold 1 to {_MOST_ZERNIKES} numbers, got {len(self.coefficients_rad)}")
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Radial(_Term):
     """An even polynomial of the radius, as lens-design programs have it; a negative first coefficient focuses."""
 
@@ -165,7 +164,7 @@ class Radial(_Term):
             yield "`norm_radius_um` belongs to `convention` = 'binary2'; with 'path_mm', r is in mm"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class UserArray(_Term):
     """A phase map from a file."""
 
@@ -178,7 +177,7 @@ class UserArray(_Term):
     dataset: str = "phase_rad"  #: Name of the map in an .h5 file.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Picture(_Term):
     """A hologram: with a lens, the phase that projects a picture onto the sensor."""
 

@@ -10,13 +10,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pydantic import ValidationError
-
-from metafab.core.errors import InputError
+from metafab.core.errors import InputError, SpecError
 from metafab.core.parallel.progress import silent
 from metafab.core.parallel.work import Work
 from metafab.spec import Design, Light
-from metafab.spec.keys.faults import faults_of
 
 if TYPE_CHECKING:
     from metafab.phase import PhaseProfile
@@ -56,8 +53,8 @@ class Job:
         """
         try:
             design = self.design.at_light(light)
-        except ValidationError as error:
-            raise InputError(f"{self.design.name} at {light.label}", faults_of(error, Design)) from error
+        except SpecError as error:
+            raise InputError(f"{self.design.name} at {light.label}", error.faults) from error
         own = light.wavelength_nm == self.design.unit_cell.illumination.wavelength_nm and not light.angles_deg
         return replace(self, design=design, nominal=None if own else self.design, light=None if own else light)
 

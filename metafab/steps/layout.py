@@ -63,7 +63,8 @@ class DrcFigures:
     #: Number of violations of each rule in the worst file; ``formats_differ`` counts the files whose pillars differ
     #: from those of the first.
     violations: dict[str, int]
-    min_gap_nm: float | None  #: Smallest gap between neighbours; None where the engine does not measure it.
+    #: Smallest gap between drawn neighbours, with ``mask.bias_nm``; None where the engine does not measure it.
+    min_gap_nm: float | None
     engine: str  #: Engine that checked.
     files: tuple[str, ...]  #: Names of the checked files.
 

@@ -31,17 +31,20 @@ def tolerances(job: Job, path: Path, *, copy: int = 1) -> ToleranceTable:
         kinds: tuple[Printed, ...] = ("plain", "corrected")
         made = [made_mask(job, path, printed, copy).field.against(written) for printed in kinds]
     imaging = optics.Imaging.of(design)
+    conditions = tolerance.PsfConditions(
+        imaging,
+        design.verify.depths_m,
+        optics.PsfNumerics.of(design),
+        transmission=optics.Apodisation.of(design),
+        lens=lens_focus(design, imaging) if design.is_lens else None,
+    )
     return tolerance.tolerance_table(
         written,
         open_library(job),
-        imaging,
-        design.verify.depths_m,
         design.tolerance or Tolerances(),
+        conditions,
         min(layout.field_sites(design)),
-        optics.PsfNumerics.of(design),
         made=made,
-        transmission=optics.Apodisation.of(design),
-        lens=lens_focus(design, imaging) if design.is_lens else None,
         work=job.work,
     )
 

@@ -7,16 +7,18 @@
 - ``reference``   figures of a mask against the nominal one, decoded depth included
 - ``study``       :func:`tolerance_table`: all corners and faults against the nominal mask; ``tolerance.json``
 
-In: a :class:`~metafab.optics.WrittenField` with its library, an :class:`~metafab.optics.Imaging` and the tolerances of
-a design. Out: a :class:`ToleranceTable`.
+In: a :class:`~metafab.optics.WrittenField` with its library, the tolerances of a design and the
+:class:`PsfConditions` of the comparison. Out: a :class:`ToleranceTable`.
 """
 
 from metafab.core.figures import ToleranceRow, ToleranceTable
 from metafab.tolerance.corners import CornerField, corner_fields, fields_at
+from metafab.tolerance.mask_light import PsfConditions
 from metafab.tolerance.study import load_tolerance, save_tolerance, tolerance_table
 
 __all__ = [
     "tolerance_table",
+    "PsfConditions",
     "ToleranceTable",
     "ToleranceRow",
     "corner_fields",

@@ -10,9 +10,9 @@ two standard errors gives the error. For sizes within the sweep of Shen's cell i
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from itertools import chain
 
 import numpy as np
@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 
 from metafab.cell import PillarCell
 from metafab.cell.curved import is_treated
+from metafab.core.arguments import require_types
 from metafab.core.conventions import ComplexArray, FloatArray
+from metafab.core.errors import Fault, InputError
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.axes import Corner, CornerBox, corner_cell
 from metafab.library.library import Library
@@ -33,6 +35,8 @@ from metafab.library.use.any_size import (
     swaps_polarisations,
 )
 from metafab.optics.sources.source import WrittenField, made_field
+from metafab.spec.cell import Axes
+from metafab.spec.keys.reference import near
 from metafab.tolerance.corner_fit import fitted_amplitudes
 
 #: Sizes solved at a corner; twice as many for cells whose x and y axes differ.
@@ -85,7 +89,7 @@ def corner_fields(
 ) -> list[CornerField]:
     """Return the mask at plus and minus a positive deviation of each axis: two corners an axis, one axis at a time.
 
-    Axes are those of :class:`metafab.spec.cell.Axes`; other arguments are those of :func:`fields_at`.
+    Axes are those of :class:`metafab.spec.cell.Axes`; other arguments and errors are those of :func:`fields_at`.
     """
     corners = [
         (f"{axis} {sign * deviation:+g}", {axis: library.unit_cell.nominal(axis) + sign * deviation})
@@ -105,9 +109,11 @@ def fields_at(
 ) -> list[CornerField]:
     """Return the mask, upright pillars of any size, at some corners: values by name and axis of a library.
 
-    The axes are those of :class:`metafab.spec.cell.Axes`. The result does not depend on the executor (None for this
-    process).
+    The axes are those of :class:`metafab.spec.cell.Axes`; InputError for other names. The result does not depend on the
+    executor (None for this process).
     """
+    require_types("tolerance", written=(written, WrittenField), library=(library, Library))
+    _require_axes({axis for _, corner in corners for axis in corner})
     sizes = MaskSizes.of(written, library)
     plans = [_plan(sizes, library, corner) for _, corner in corners]
     tasks = [sizes.tasks(library, plan, corner) for plan, (_, corner) in zip(plans, corners, strict=True)]
@@ -294,6 +300,17 @@ class MaskSizes:
             return changed, float(np.hypot(SOLVER_ERROR, np.sqrt(square)))
         groups = [(0, 1)] if swaps_polarisations(library) else [(0,), (1,)]
         return fitted_amplitudes(library, self.size_nm, self.sample, changed, groups)
+
+
+def _require_axes(names: Collection[str]) -> None:
+    """Refuse names of no axis, which would leave the cells as they are."""
+    axes = [item.name for item in fields(Axes)]
+    faults = [
+        Fault(name, f"an axis: {', '.join(axes)}", "none of them", near(name, axes))
+        for name in sorted({*names} - {*axes})
+    ]
+    if faults:
+        raise InputError("tolerance", faults)
 
 
 def changed_amplitudes(t: ComplexArray, before: ComplexArray, after: ComplexArray) -> tuple[ComplexArray, FloatArray]:

@@ -45,44 +45,47 @@ class Light:
 
 
 @dataclass(frozen=True)
-class MaskOptics:
-    """Propagation of masks of one lattice in blocks of fixed size."""
+class PsfConditions:
+    """Conditions of every PSF of a comparison, on the axis."""
 
-    window: Window  #: Sampling of the windows.
-    depths_m: tuple[float, ...]  #: Object depths.
-    carriers: tuple[Carrier, Carrier, Carrier]  #: Carriers of x, of y, and of y polarised light in the window of x.
-    numerics: PsfNumerics = PsfNumerics()  #: Target error and spectral band.
+    imaging: Imaging  #: Geometry.
+    depths_m: tuple[float, ...]  #: Object depths, ascending.
+    #: Window, target error and filter. Unwanted light is that of the design wavelength.
+    numerics: PsfNumerics = PsfNumerics()
     transmission: Transmission | None = None  #: Stop or amplitude in the plane of the pillars; None for none.
     lens: LensFocus | None = None  #: Focus that is measured; None for devices without one.
 
+
+@dataclass(frozen=True)
+class MaskOptics:
+    """Propagation of masks of one lattice in blocks of fixed size."""
+
+    conditions: PsfConditions  #: Conditions of the PSFs.
+    window: Window  #: Sampling of the windows.
+    carriers: tuple[Carrier, Carrier, Carrier]  #: Carriers of x, of y, and of y polarised light in the window of x.
+
     @classmethod
     def of(
-        cls,
-        written: WrittenField,
-        imaging: Imaging,
-        depths_m: Sequence[float],
-        numerics: PsfNumerics,
-        transmission: Transmission | None = None,
-        work: Work = Work(),
-        lens: LensFocus | None = None,
+        cls, written: WrittenField, conditions: PsfConditions, work: Work = Work()
     ) -> tuple[MaskOptics, list[Pupil], float]:
         """Return the optics with the coarsest blocks that keep the target error, the blocks of the mask, and the error.
 
         InputError for inputs for which no PSF stack exists.
         """
-        depths = [float(z) for z in depths_m]
-        require_valid(imaging, depths, _AXIS, None, numerics)
+        imaging, depths_m, numerics = conditions.imaging, conditions.depths_m, conditions.numerics
+        require_valid(imaging, depths_m, _AXIS, None, numerics)
         window = Window.for_target(imaging, numerics)
         windows = window.over_band(_AXIS, numerics.filter_fwhm_nm)
+        source = apodised(written, conditions.transmission)
         here = Work(progress=work.progress)
         with here.threads() as threads:
             pyramids, stray = reduce_to_target(
-                apodised(written, transmission), windows, depths, _AXIS, None, numerics.block_error, threads, here
+                source, windows, depths_m, _AXIS, None, numerics.block_error, threads, here
             )
-        error = max(float(window.light(pyramids[p], p, _AXIS, depths, numerics)[1].max()) for p in (0, 1))
+        error = max(float(window.light(pyramids[p], p, _AXIS, depths_m, numerics)[1].max()) for p in (0, 1))
         pupils = [pyramids[0][0], pyramids[1][0], stray]
         carriers = (pupils[0].carrier, pupils[1].carrier, pupils[2].carrier)
-        return cls(window, tuple(depths), carriers, numerics, transmission, lens), pupils, error
+        return cls(conditions, window, carriers), pupils, error
 
     def with_blocks(self, block_sites: int) -> MaskOptics:
         """Return the same optics with blocks of another size."""
@@ -91,26 +94,29 @@ class MaskOptics:
 
     def sums(self, source: Source) -> list[Pupil]:
         """Return the blocks of x, of y, and of y behind the carrier of x."""
-        return reduce_field(apodised(source, self.transmission), self.carriers, self.window.imaging.wavenumber)
+        wavenumber = self.conditions.imaging.wavenumber
+        return reduce_field(apodised(source, self.conditions.transmission), self.carriers, wavenumber)
 
     def light(self, pupils: Sequence[Pupil]) -> Light:
         """Return the pair and the unwanted light of some blocks."""
-        pair = [self.window.light([pupils[p]], p, _AXIS, self.depths_m, self.numerics)[0] for p in (0, 1)]
-        stray = self.window.stray_irradiance(pupils[2], 0, _AXIS, self.depths_m)
+        depths_m, numerics, lens = self.conditions.depths_m, self.conditions.numerics, self.conditions.lens
+        pair = [self.window.light([pupils[p]], p, _AXIS, depths_m, numerics)[0] for p in (0, 1)]
+        stray = self.window.stray_irradiance(pupils[2], 0, _AXIS, depths_m)
         if self.window.imaging.crystal is not None:
-            stray = stray + self.window.light([pupils[0]], 0, _AXIS, self.depths_m, self.numerics, entry=(0, 1))[0]
+            stray = stray + self.window.light([pupils[0]], 0, _AXIS, depths_m, numerics, entry=(0, 1))[0]
         pixel_um = self.window.imaging.pixel_um
-        unwanted = stray.sum(axis=(1, 2)) * pixel_um**2 if self.is_pair else np.full(len(self.depths_m), math.nan)
+        unwanted = stray.sum(axis=(1, 2)) * pixel_um**2 if self.is_pair else np.full(len(depths_m), math.nan)
         light = Light(np.array(pair), unwanted, pixel_um)
-        return light if self.lens is None else replace(light, spot=self._spot(self.lens, pupils))
+        return light if lens is None else replace(light, spot=self._spot(lens, pupils))
 
     @property
     def ideal_peak(self) -> float:
         """Maximum of the ideal lens' focus per unit of transmitted power, 1/um^2; NaN for devices without a focus."""
-        return math.nan if self.lens is None else self._spot(self.lens, self.sums(self.lens.perfect))[2]
+        lens = self.conditions.lens
+        return math.nan if lens is None else self._spot(lens, self.sums(lens.perfect))[2]
 
     def _spot(self, lens: LensFocus, pupils: Sequence[Pupil]) -> tuple[float, float, float]:
-        return lens.spot(pupils, self.window.imaging, self.numerics.target_error)
+        return lens.spot(pupils, self.window.imaging, self.conditions.numerics.target_error)
 
     @property
     def is_pair(self) -> bool:

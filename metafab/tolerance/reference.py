@@ -55,11 +55,13 @@ class DepthDecoder:
     @classmethod
     def of(cls, optics: MaskOptics, pupils: Sequence[Pupil]) -> DepthDecoder:
         """Calibrate on the blocks of the nominal mask."""
-        near, far = 1.0 / optics.depths_m[0], 1.0 / optics.depths_m[-1]
+        depths_m = optics.conditions.depths_m
+        near, far = 1.0 / depths_m[0], 1.0 / depths_m[-1]
         margin = max(_MARGIN * (near - far), _LEAST_MARGIN * near)
         farthest_m = 1.0 / max(far - margin, _LEAST_VERGENCE * far) if far > 0.0 else math.inf
         nodes = depth_nodes(optics.window.imaging, 1.0 / (near + margin), farthest_m, _CALIBRATION_ERROR)
-        stack = replace(optics, depths_m=tuple(nodes.tolist()), lens=None).light(pupils).pair
+        at_nodes = replace(optics.conditions, depths_m=tuple(nodes.tolist()), lens=None)
+        stack = replace(optics, conditions=at_nodes).light(pupils).pair
         vergence = np.linspace(1.0 / nodes[0], 1.0 / nodes[-1], _TRIALS * nodes.size)
         weights = spline_weights(1.0 / nodes, vergence)
         with np.errstate(divide="ignore"):
@@ -105,10 +107,11 @@ class Reference:
         """Compute the reference from the blocks of the nominal mask."""
         nominal = optics.light(pupils)
         decoder = DepthDecoder.of(optics, pupils) if optics.is_pair else None
-        decoded_m = np.full(len(optics.depths_m), math.nan) if decoder is None else decoder.depth_m(nominal.pair)
+        depths_m = optics.conditions.depths_m
+        decoded_m = np.full(len(depths_m), math.nan) if decoder is None else decoder.depth_m(nominal.pair)
         imaging = optics.window.imaging
         arm_um = _ARM * imaging.wavelength_um / imaging.numerical_aperture
-        return cls(nominal, optics.depths_m, decoder, decoded_m, error, arm_um, optics.ideal_peak)
+        return cls(nominal, depths_m, decoder, decoded_m, error, arm_um, optics.ideal_peak)
 
     def row(self, name: str, lights: Sequence[Light], relative_error: float) -> ToleranceRow:
         """Return the row of one mask, or of several draws of a random fault (rms or mean over the draws)."""

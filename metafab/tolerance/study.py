@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from metafab.core.arguments import require_types
 from metafab.core.errors import InputError
 from metafab.core.figures import ToleranceRow, ToleranceTable
 from metafab.core.parallel.executor import one_blas_thread
@@ -22,14 +23,12 @@ from metafab.core.storage.files import read_json, write_json
 from metafab.core.storage.tables import typed
 from metafab.library.library import Library
 from metafab.optics.geometry.imaging import Imaging
-from metafab.optics.measures.focus import LensFocus
-from metafab.optics.numerics import PsfNumerics
 from metafab.optics.propagation.blocks import MOST_BLOCKS, require_memory
 from metafab.optics.propagation.pupil import Pupil
-from metafab.optics.sources.source import Transmission, WrittenField
+from metafab.optics.sources.source import WrittenField
 from metafab.spec.design import Tolerances
 from metafab.tolerance.corners import CornerField, corner_fields
-from metafab.tolerance.mask_light import MaskOptics
+from metafab.tolerance.mask_light import MaskOptics, PsfConditions
 from metafab.tolerance.reference import Reference
 from metafab.tolerance.scatter import Fault, Misplaced, Missing, Stitched
 
@@ -40,44 +39,47 @@ FORMAT = 1
 def tolerance_table(
     written: WrittenField,
     library: Library,
-    imaging: Imaging,
-    depths_m: Sequence[float],
     tolerances: Tolerances,
+    conditions: PsfConditions,
     field_sites: int,
-    numerics: PsfNumerics = PsfNumerics(),
     *,
     made: Sequence[CornerField] = (),
-    transmission: Transmission | None = None,
-    lens: LensFocus | None = None,
     work: Work = Work(workers=1),
 ) -> ToleranceTable:
     """Compare the PSFs at the corners of a written mask with those of the nominal mask, on the axis.
 
     Args:
         written: mask with the amplitudes of the library.
-        depths_m: shape (n_depth,), object depths, ascending.
         tolerances: deviations of the fabrication; zeros leave corners out.
+        conditions: geometry, depths and numerics of every PSF.
         field_sites: sites along a side of a write field.
-        numerics: window, target error and filter of every PSF. Unwanted light is that of the design wavelength.
         made: the mask as processes make it, for the first rows of the table.
-        transmission: stop or amplitude in the plane of the pillars; None for none.
-        lens: focus whose widths and Strehl ratio the rows hold; None for devices without one.
         work: processes or cluster that solve cells, and progress over the corners. The result does not depend on them.
 
     Raises:
-        InputError: slopes of rings or in a hexagonal lattice, inputs for which no PSF stack exists
-            (:func:`metafab.optics.psf`), or write fields that for stitching must be divided into more blocks than fit
-            into memory.
+        InputError: write fields without a site, slopes of rings or in a hexagonal lattice, inputs for which no PSF
+            stack exists (:func:`metafab.optics.psf`), or write fields that for stitching must be divided into more
+            blocks than fit into memory.
     """
+    require_types(
+        "tolerance",
+        written=(written, WrittenField),
+        library=(library, Library),
+        tolerances=(tolerances, Tolerances),
+        conditions=(conditions, PsfConditions),
+    )
+    if field_sites < 1:
+        remedy = "`min(layout.field_sites(design))` is that of a design"
+        raise InputError.single("tolerance", "field_sites", "at least 1 site", f"{field_sites}", remedy)
     cell = library.unit_cell.cell
     if (cell.is_hexagonal or cell.shape == "ring") and tolerances.sidewall_deg > 0.0:
         kind = "a hexagonal lattice" if cell.is_hexagonal else 'cells of the shape "ring"'
         expected, remedy = f"0 for {kind}, whose slopes are not available", "set it in `[tolerance]`"
         raise InputError.single("tolerance", "sidewall_deg", expected, f"{tolerances.sidewall_deg:g}", remedy)
     with one_blas_thread():
-        optics, pupils, error = MaskOptics.of(written, imaging, depths_m, numerics, transmission, work, lens)
+        optics, pupils, error = MaskOptics.of(written, conditions, work)
         block = pupils[0].carrier.block_sites
-        faults = _faults(tolerances, imaging, written, field_sites)
+        faults = _faults(tolerances, conditions.imaging, written, field_sites)
         require_block_memory(faults, written, block)
         reference = Reference.of(optics, pupils, error)
         with work.processes() as executor:
@@ -92,7 +94,7 @@ def tolerance_table(
             work.progress("tolerance", done + 1, len(corners))
         rows += [_fault_row(fault, reference, optics, pupils, written, tolerances.draws) for fault in faults]
     nominal = reference.row("nominal", [reference.nominal], 0.0)
-    return ToleranceTable(np.array(optics.depths_m), error, block, nominal, tuple(rows))
+    return ToleranceTable(np.array(conditions.depths_m), error, block, nominal, tuple(rows))
 
 
 def _deviations(tolerances: Tolerances) -> dict[str, float]:

@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from metafab.cell import CellNumerics, PillarCell, pillar_cell, solve
 from metafab.cell.elements import orders_at
@@ -106,7 +105,7 @@ def test_the_table_says_what_each_command_accepts(smooth_library: Library, desig
         for accepts in columns.values():
             try:
                 accepts(geometry)
-            except (InputError, ValidationError):
+            except InputError:
                 answers.append("-")
             else:
                 answers.append("yes")

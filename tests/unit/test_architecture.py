@@ -4,6 +4,7 @@ one door each, and rooms stay small enough to be read."""
 from __future__ import annotations
 
 import ast
+import re
 import tomllib
 from collections.abc import Iterator
 from functools import cache
@@ -139,17 +140,28 @@ def test_faces_list_about_ten_names(face: Path) -> None:
     assert len(getattr(named.get("__all__"), "elts", [])) <= MOST_NAMES
 
 
-def test_nobody_imports_a_private_name() -> None:
-    """In the product, the tests and the benchmarks."""
+def test_nobody_uses_a_private_name_of_another_file() -> None:
+    """In the product, the tests and the benchmarks; neither by import nor through the module."""
     root = PACKAGE.parent
     private = []
     for folder in ("metafab", "tests", "benchmarks"):
         for path in sorted((root / folder).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "metafab":
-                    names = [alias.name for alias in node.names if alias.name != "__version__"]
-                    private += [f"{path.relative_to(root)}: {name}" for name in names if name.startswith("_")]
+            nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+            ours = [node for node in nodes if isinstance(node, ast.ImportFrom) and _is_ours(node.module)]
+            aliases = [alias for node in ours for alias in node.names]
+            names = [alias.name for alias in aliases]
+            modules = {alias.asname or alias.name for alias in aliases if alias.name.islower()}
+            names += [
+                node.attr
+                for node in nodes
+                if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules
+            ]
+            private += [f"{path.relative_to(root)}: {name}" for name in names if re.match("_(?!_)", name)]
     assert private == []
+
+
+def _is_ours(module: str | None) -> bool:
+    return (module or "").split(".")[0] == PACKAGE.name
 
 
 def test_kernels_that_are_compiled_ahead_exist() -> None:

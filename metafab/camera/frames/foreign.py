@@ -14,6 +14,7 @@ from metafab.core.storage.files import HDF5_SUFFIXES, whole_file
 from metafab.core.storage.pictures import read_counts
 from metafab.optics.point_spread import Psf
 
+#: Files of counts, and the largest count of 16 bits.
 _COUNTED = {".tif", ".tiff", ".png", ".npy"}
 _FULL_COUNT = 2**16 - 1
 #: Pixels at exactly the largest value are saturated if they exceed this number and this share of the frame.

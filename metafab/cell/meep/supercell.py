@@ -191,10 +191,10 @@ def plan(
     """
     cell = supercell.cell
     per_x = settings.pixels_per_period
-    per_y = per_x * cell.period_nm[1] / cell.period_nm[0]
-    if not _fits(cell, per_x):
+    per_y = _pixels_along_y(cell, per_x)
+    if per_y is None:
         expected = "an even number from 8 whose pixels also divide the y period, into an even number"
-        fitting = [f"{count}" for count in range(8, _MOST_PIXELS + 1, 2) if _fits(cell, count)]
+        fitting = [f"{count}" for count in range(8, _MOST_PIXELS + 1, 2) if _pixels_along_y(cell, count)]
         remedy = f"take {', '.join(fitting[:3])}" if fitting else f"none up to {_MOST_PIXELS} does: change a period"
         raise InputError.single("meep", "pixels_per_period", expected, f"{per_x}", remedy)
     order = np.zeros((1, 2), dtype=np.intp) if order is None else order
@@ -202,7 +202,7 @@ def plan(
     return smoothed_plan(
         cell,
         polarisation,
-        (supercell.shape[1] * per_x, supercell.shape[0] * round(per_y)),
+        (supercell.shape[1] * per_x, supercell.shape[0] * per_y),
         pixel,
         cell.height_nm * 1e-3,
         lambda start, beyond: _blocks(supercell, start, beyond),
@@ -215,10 +215,11 @@ def plan(
     )
 
 
-def _fits(cell: PillarCell, per_x: int) -> bool:
-    """Whether square pixels, this number of them along the x period, divide both periods into even numbers."""
+def _pixels_along_y(cell: PillarCell, per_x: int) -> int | None:
+    """Square pixels of the y period, with ``per_x`` in the x period; None unless both numbers are whole and even."""
     per_y = per_x * cell.period_nm[1] / cell.period_nm[0]
-    return per_x >= 8 and per_x % 2 == 0 and abs(per_y - round(per_y)) <= 1e-6 and round(per_y) % 2 == 0
+    fits = per_x >= 8 and per_x % 2 == 0 and abs(per_y - round(per_y)) <= 1e-6 and round(per_y) % 2 == 0
+    return round(per_y) if fits else None
 
 
 def _mirrors(supercell: Supercell) -> tuple[Polarisation, ...]:

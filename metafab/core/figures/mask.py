@@ -50,7 +50,8 @@ class MappingFigures:
 
     pillars: int  #: Number of pillars.
     distinct_sizes: int  #: Number of different sizes among them.
-    min_gap_nm: float | None  #: Smallest gap between neighbours; None for a single pillar.
+    #: Smallest gap between neighbours as they stand, without ``mask.bias_nm``; None for a single pillar.
+    min_gap_nm: float | None
     phase_rms_error_rad: float  #: Rms over both polarisations, after the constant phases of the mapping.
     mean_transmittance: float  #: Power transmittance, mean over pillars and polarisations.
     mean_transmittance_x: float

@@ -56,7 +56,7 @@ def compiling_ahead(workers: int | None = None, table: Path = KERNELS) -> Iterat
     By default there is one a core. None are started for a single worker, or where this process cannot be forked. At the
     end of the block they finish the file they are at; an error in the block ends them.
     """
-    helpers = _Helpers(min(workers or default_workers(), _MOST_PROCESSES), table)
+    helpers = Helpers(min(workers or default_workers(), _MOST_PROCESSES), table)
     _waiting.append(helpers)
     try:
         yield
@@ -79,7 +79,7 @@ def start_helpers() -> None:
             _waiting.pop().start()
 
 
-class _Helpers:
+class Helpers:
     """Processes that compile, and a pipe with one byte for each file that none has taken: its number in the list.
 
     A process that is killed leaves nothing locked.
@@ -125,7 +125,7 @@ class _Helpers:
 
 
 #: Processes that no compilation has started yet, of the block that began last at the end.
-_waiting: list[_Helpers] = []
+_waiting: list[Helpers] = []
 
 
 def _compile_files(files: list[FileKernels], numbers: int) -> None:

@@ -51,7 +51,7 @@ def compiled(function: Function) -> Function:
     try:
         kernel: Any = numba.njit(cache=True, **options)(function)
     except RuntimeError:  # numba finds no folder for the cache
-        _warn_uncached()
+        warn_uncached()
         return cast("Function", numba.njit(**options)(function))
     if hasattr(kernel, "compile"):  # numba is not disabled
         kernel.compile = partial(_compile_once, kernel, kernel.compile, function.__code__.co_filename)
@@ -59,7 +59,8 @@ def compiled(function: Function) -> Function:
 
 
 @cache
-def _warn_uncached() -> None:
+def warn_uncached() -> None:
+    """Log once that no cache for kernels can be written."""
     _log.warning("no cache for compiled kernels can be written, so each process compiles them: set NUMBA_CACHE_DIR")
 
 
@@ -68,7 +69,7 @@ def _compile_once(kernel: Any, compile_or_load: Callable[[Any], Any], source: st
     # An interrupt between a lock and its block would leave the lock taken, for which other threads wait for ever.
     # Compiler lock first: a thread that held a file's lock while it waited for the compiler would stop the one that has
     # the compiler.
-    with held_interrupts(), global_compiler_lock, _alone_with(source):
+    with held_interrupts(), global_compiler_lock, alone_with(source):
         misses = sum(kernel.stats.cache_misses.values())
         entry_point = compile_or_load(arguments)
         was_compiled = sum(kernel.stats.cache_misses.values()) > misses
@@ -79,7 +80,7 @@ def _compile_once(kernel: Any, compile_or_load: Callable[[Any], Any], source: st
 
 
 @contextmanager
-def _alone_with(source: str) -> Iterator[None]:
+def alone_with(source: str) -> Iterator[None]:
     """Lock the file ``source`` against other processes; unguarded without locks, and after the longest wait."""
     if fcntl is None or source in _held:
         yield

@@ -125,17 +125,17 @@ class VideoDecoder:
         prepared = self.decoder.prepare(frame)
         if isinstance(prepared, str):
             return None
-        decoder, volume = self.decoder, self.decoder.match(prepared)
+        decoder, matched = self.decoder, self.decoder.match(prepared)
         if most_segments is None:
-            decoded = decoder.complete(prepared, volume)
+            decoded = decoder.complete(matched)
         else:
             # The first frame of this scene showed no continuous surface, and to search for one takes ten frames' time.
-            pixels, regions = decoder.segment(prepared, volume, surfaces=False)
+            pixels, regions = decoder.segment(matched, surfaces=False)
             if len(regions.depths) > most_segments:
                 return None
-            decoded = decoder.sharpen(prepared, volume, pixels, regions, decoder.tile_spectra(prepared))
+            decoded = decoder.sharpen(matched, pixels, regions, decoder.tile_spectra(prepared))
         image, numerics = decoder.image(decoded), SegmentationNumerics(decoder.numerics.outline_rounds)
-        regions = with_planes_of_surface(decoded.regions, prepared, volume, decoded.pixels, numerics)
+        regions = with_planes_of_surface(decoded.regions, prepared, matched.volume, decoded.pixels, numerics)
         if regions is not decoded.regions:
             decoded = replace(decoded, regions=regions, maps=decoded.maps.with_segments(regions, prepared))
         return FilmState(decoded, image, self._detector.patch_means(frame), camera)

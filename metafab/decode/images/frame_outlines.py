@@ -60,7 +60,7 @@ def outlines_by_frame(regions: Regions, prepared: PreparedFrame, optics: LayerOp
     misfits = model.displaced_misfits(beyond_px, across, (-step, 0.0, step), asked)
     if misfits is None:
         return regions
-    displaced_px = np.where(asked, _least(misfits, step), np.float32(0.0))
+    displaced_px = np.where(asked, least_misfit_px(misfits, step), np.float32(0.0))
     return replace(regions, beyond_px=np.where(is_near, displaced_px, -displaced_px).astype(np.float32))
 
 
@@ -73,7 +73,7 @@ def _smoothed(beyond: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.where(kept, np.copysign(np.maximum(np.abs(smooth), 1e-3), near), near).astype(np.float32)
 
 
-def _least(misfits: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+def least_misfit_px(misfits: NDArray[np.float32], step: int) -> NDArray[np.float32]:
     """Displacement, frame pixels, of the least of a parabola through three misfits (3, n_y, n_x): shape (n_y, n_x).
 
     With the prior of the place; 0 where the sum does not fall clearly.

@@ -29,6 +29,7 @@ _SAME_DEPTH = 1.5
 _POINTS_PER_CANDIDATE = 32
 #: Weights of five equally spaced values in the coefficients of the quartic through them, rising powers.
 _QUARTIC = np.linalg.inv(np.vander(np.arange(-2.0, 3.0), increasing=True))
+#: Newton's steps to the maximum of the quartic.
 _NEWTON_ROUNDS = 3
 #: Root mean square below which a picture is dark.
 _DARK = 1e-15

@@ -22,6 +22,7 @@ _EQUAL, _SIGNIFICANT = 3.0, 5.0
 _START = 0.2
 #: Least dark share of the edge, for frames whose field stop is not known.
 _DARK_SHARE = 0.5
+#: Rounds in which blocks that differ from the level are left out.
 _ROUNDS = 5
 
 

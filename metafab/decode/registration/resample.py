@@ -16,6 +16,8 @@ from metafab.core.conventions import FloatArray
 from metafab.core.numeric.compiled import compiled
 from metafab.core.parallel.executor import spread
 
+#: Taps of the interpolation and parameter of its Kaiser window: the response is within 0.5 % of that of a shift up to
+#: 0.25 cycles per pixel, within 0.8 % up to 0.3 and within 5 % up to 0.35.
 _TAPS = 8
 _KAISER_BETA = 4.5
 #: Fractions of a pixel in the table of filters: the nearest is within 1e-3 of a pixel.

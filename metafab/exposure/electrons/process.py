@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from metafab.core.arguments import require_types
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.core.storage.limits import require_modest_table
@@ -100,6 +101,7 @@ def beam_psf(process: ExposureProcess, focus_um: float | None = None) -> BeamPsf
     InputError for an unknown preset, an unreadable table, a ratio for a function without backscattered part, or a beam
     out of focus without its convergence.
     """
+    require_types("exposure", process=(process, ExposureProcess))
     if process.preset is not None:
         plain = preset(process.preset)
         if process.source != ExposureProcess.source:

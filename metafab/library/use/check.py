@@ -12,6 +12,7 @@ import numpy as np
 
 from metafab.cell import CellNumerics, CellResponse, CellSolver, solve
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
 from metafab.core.parallel.executor import SerialExecutor, in_order
 from metafab.core.parallel.progress import Progress, silent
 from metafab.library.library import Library
@@ -98,7 +99,11 @@ def check(
             error, but no less than 1e-2. Finished runs of Meep are kept, so that a check that was stopped continues.
         seed: of the random draw.
         executor: runs the solver; None for this process.
+
+    InputError for fewer than one sample.
     """
+    if samples < 1:
+        raise InputError.single("library", "samples", "1 or more", f"{samples}")
     width_nm, length_nm = _drawn_sizes(library, samples, np.random.default_rng(seed))
     response = (library.surface if library.is_continuous else library.at_sizes)(width_nm, length_nm)
     target = library.unit_cell.sweep.target_error

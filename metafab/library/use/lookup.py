@@ -270,6 +270,8 @@ def fault_of_unit(sides_nm: FloatArray, database_unit_nm: float) -> Fault | None
 
     Rectangles centred on a site would have edges off the grid.
     """
+    if not database_unit_nm > 0.0:
+        return Fault("mask.database_unit_nm", "a length above 0", f"{database_unit_nm:g} nm")
     halves = sides_nm / (2.0 * database_unit_nm)
     is_off = np.abs(halves - np.rint(halves)) > _OFF_GRID_UNITS
     if not is_off.any():

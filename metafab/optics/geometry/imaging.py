@@ -25,6 +25,7 @@ FieldGrid: TypeAlias = tuple[FloatArray, FloatArray]
 #: Relative L2 error of cubic interpolation between depths whose rim defocus differs by one radian, a measured upper
 #: bound. The error falls with the fourth power of the step.
 _CUBIC_ERROR_PER_RAD4 = 4.0e-3
+#: Fewest depths of a stack.
 _FEWEST_NODES = 6
 
 
@@ -206,7 +207,9 @@ def _deflections(design: Design, distance_um: float) -> tuple[tuple[float, float
     if (sine := max(math.hypot(*cosines) for cosines in found)) >= 1.0:
         expected = "a phase whose mean slope sends light towards the sensor, at most 2 pi per wavelength"
         got = f"one of {sine:.3g} times that"
-        remedy = "is the pitch in micrometres? `verify.centre_um` places the window by hand"
+        remedy = "is the pitch in micrometres?"
+        if not design.windows_follow_images:
+            remedy += " `verify.centre_um` places the window by hand"
         raise InputError.single(design.name, "phase", expected, got, remedy)
     return found
 

@@ -118,7 +118,7 @@ def _landings(
             y = y_um[tile.row + top : tile.row + top + block.shape[0]]
             # The incident wave: the path to the sensor point is the same for the whole wave and drops out.
             incident = np.exp(1j * k * _incident_um(x[None, :], y[:, None], ray))
-            cosines, power = _plane_waves(block * incident, sites, imaging.wavelength_um / np.array(pitch), lattice)
+            cosines, power = plane_waves(block * incident, sites, imaging.wavelength_um / np.array(pitch), lattice)
             along = np.sqrt(np.maximum(0.0, 1.0 - (cosines**2).sum(axis=0)))
             lit = along > 1.0 / _REACH
             if lit.any():
@@ -126,7 +126,7 @@ def _landings(
                 yield x.mean() + shift_x, y.mean() + shift_y, power[lit]
 
 
-def _plane_waves(
+def plane_waves(
     block: ComplexArray, sites: int, steepest: FloatArray, lattice: Lattice
 ) -> tuple[FloatArray, FloatArray]:
     """Direction cosines along x and y, shape (2, n, n), and powers, shape (n, n), of the plane waves of a block.

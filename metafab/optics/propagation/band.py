@@ -29,6 +29,7 @@ from metafab.optics.geometry.imaging import Imaging, Tangent
 #: which are estimated if the last argument is true.
 Monochromatic = Callable[[Imaging, int, bool], tuple[FloatArray, FloatArray]]
 
+#: Fewest and most wavelengths of a band.
 _FEWEST_WAVELENGTHS = 4
 _MOST_WAVELENGTHS = 33
 #: Wavelengths whose own error is estimated: the band ends, between which it changes by a few per cent.

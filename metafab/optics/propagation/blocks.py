@@ -24,6 +24,7 @@ from metafab.optics.sources.source import Source
 
 #: Blocks along a side in the first pass: enough for an error of 1e-4 with the lenses that were measured.
 _FIRST_BLOCKS = 180
+#: Blocks along a side, up to which a pyramid is coarsened.
 _FEWEST_BLOCKS = 8
 #: Largest phase error of the path expansion inside a block.
 _EXPANSION_ERROR_RAD = 1e-4

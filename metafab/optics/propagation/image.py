@@ -28,6 +28,7 @@ from metafab.optics.propagation.window import component_fields
 #: Depths whose error is estimated: all, the first and the last one, or none.
 Judged = Literal["all", "ends", "none"]
 
+#: Relative L2 error of an image by single precision.
 _SINGLE_PRECISION_ERROR = 2e-6
 #: Smaller singular values of a kernel are lost in rounding.
 _FINEST_TOLERANCE = 1e-7
@@ -40,6 +41,7 @@ _SECONDS_PER_OPERATION = 3e-11
 _SECONDS_PER_BLOCK = 8e-8
 _SECONDS_PER_ENTRY = 4e-7
 _SECONDS_PER_PANEL = 2e-3
+#: Panels along a side of the window that are compared, and the smallest panel.
 _PANELS_PER_SIDE = (1, 3, 5, 7, 9, 13, 17, 25, 33, 49, 65)
 _SMALLEST_PANEL_PX = 16
 #: Number of depths that share a panel's kernel in the cost model; fixed, so that errors do not depend on the stack.

@@ -32,6 +32,7 @@ AIRY_RADIUS = 3.8317
 _STEP = 0.85
 #: Exponent of the p-norm.
 _NORM = 12
+#: Rounds of the augmented Lagrangian, and its first stiffness.
 _ROUNDS, _STIFFNESS = 8, 10.0
 
 #: Limited quantity: the side lobe at the worst depth, or its mean over the depths.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from metafab.core.conventions import FloatArray
-from metafab.core.errors import InputError
+from metafab.core.errors import Fault, InputError
 from metafab.information.texture import Texture
 from metafab.phase.optimise.blind import BlindInformation
 from metafab.phase.optimise.rotation import full_turn_dioptre, helix_half_width, main_lobe, rotation_deg_per_dioptre
@@ -73,11 +73,19 @@ def propose(
         exponents: candidates for epsilon.
 
     Raises:
-        InputError: the range is empty, or no candidate keeps a single turn over it.
+        InputError: the range is empty, aperture or wavelength are no lengths, or no candidate keeps a single turn over
+            the range.
     """
     if not 0.0 < nearest_m < farthest_m < math.inf:
         expected = "0 < nearest < farthest, both finite"
         raise InputError.single("propose", "depths", expected, f"{nearest_m}, {farthest_m}")
+    lengths = {"aperture_um": aperture_um, "wavelength_um": wavelength_um}
+    if faults := [
+        Fault(name, "a finite length above 0", f"{length:g} um")
+        for name, length in lengths.items()
+        if not 0.0 < length < math.inf
+    ]:
+        raise InputError("propose", faults)
     radius_um = 0.5 * aperture_um
     vergence = np.linspace(1.0 / nearest_m, 1.0 / farthest_m, _DEPTHS)
     span = float(vergence[0] - vergence[-1])

@@ -91,7 +91,11 @@ def mask(run: RunFolder, drawn: Drawn) -> str:
     figures = run.summary.layout
     facts, files = "", ""
     if figures is not None:
-        counts = {"pillars": figures.pillars, "sizes": figures.distinct_sizes, "smallest gap / nm": figures.min_gap_nm}
+        counts = {
+            "pillars": figures.pillars,
+            "sizes": figures.distinct_sizes,
+            "smallest gap of standing pillars / nm": figures.min_gap_nm,
+        }
         facts = html.facts(counts | _mapping(figures))
         if figures.gap_rule_each is not None:
             facts += "<h3>With the gap rule kept by each pillar alone</h3>"

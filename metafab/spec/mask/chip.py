@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
-from pydantic.dataclasses import dataclass
 
-from metafab.spec.fields import CONFIG, Checked, Flag, Index, NonNegative, Positive, Real
+from metafab.spec.fields import Checked, Flag, Index, NonNegative, Positive, Real, spec
 
 #: Most dose classes by size or density.
 MOST_CLASSES = 32
@@ -19,7 +18,7 @@ MOST_CLASSES = 32
 _LARGEST_LAYER = 65535
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Dose(Checked):
     """Dose classes on consecutive datatypes. By size or density, classes divide the range of the values evenly."""
 
@@ -36,7 +35,7 @@ class Dose(Checked):
             yield f"`classes` must be at most {MOST_CLASSES} by size or density, got {self.classes}"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Chip:
     """Marks, frame, text and dicing street around the lens, each on its own layer (datatype 0)."""
 
@@ -59,7 +58,7 @@ class Chip:
         return self.mark_layer, self.frame_layer, self.text_layer, self.street_layer
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Copy:
     """One of several lenses on a chip, for process variants."""
 
@@ -72,7 +71,7 @@ class Copy:
     label: str | None = None  #: Text above the lens, on the chip's text layer.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Include(Checked):
     """A cell of another file, drawn beside the lenses (``[[mask.include]]``)."""
 

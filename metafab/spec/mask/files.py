@@ -6,9 +6,8 @@ from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field
-from pydantic.dataclasses import dataclass
 
-from metafab.spec.fields import CONFIG, Checked, Flag, Index, NonNegative, Positive, Real
+from metafab.spec.fields import Checked, Flag, Index, NonNegative, Positive, Real, spec
 from metafab.spec.mask.chip import Chip, Copy, Dose, Include
 from metafab.spec.mask.kit import Kit
 
@@ -16,7 +15,7 @@ from metafab.spec.mask.kit import Kit
 MOST_DATATYPES = 256
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Exposure(Checked):
     """Exposure settings that determine the write time."""
 
@@ -41,7 +40,7 @@ class Exposure(Checked):
             yield "`clock_mhz` needs `shot_pitch_nm` or `max_shot_um`, which give the number of shots"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Mask(Checked):
     """Mask files of a design. Simulated pillars have no bias; gap and feature rules hold for drawn shapes."""
 

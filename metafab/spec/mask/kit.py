@@ -6,14 +6,13 @@ from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field
-from pydantic.dataclasses import dataclass
 
-from metafab.spec.fields import CONFIG, Checked, Index, NonNegative, Positive, Real
+from metafab.spec.fields import Checked, Index, NonNegative, Positive, Real, spec
 
 _Odd = Annotated[int, Field(strict=True, ge=3, le=999)]
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class CdBars:
     """Bars whose widths are measured with an electron microscope, along both axes.
 
@@ -27,7 +26,7 @@ class CdBars:
     spacing_um: Positive = 5.0  #: Distance between groups, and of a single bar from its group.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Vernier(Checked):
     """Two combs of slightly different pitch, along both axes, read with a microscope."""
 
@@ -48,7 +47,7 @@ class Vernier(Checked):
             yield "`tooth_um` must be narrower than `pitch_um`"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Grating(Checked):
     """A field of lines or of equal pillars, for ellipsometry and scatterometry."""
 
@@ -66,7 +65,7 @@ class Grating(Checked):
             yield "`line_nm` must be smaller than `pitch_nm`"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Overlay(Checked):
     """A frame of the first exposure around a frame of the second, for overlay measurements."""
 
@@ -80,7 +79,7 @@ class Overlay(Checked):
             yield "`inner_um` must be more than two lines, and less than `outer_um` without its two lines"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Kit(Checked):
     """Test structures (``[mask.kit]``), each on datatype 0 of the layers below.
 

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import Field
-from pydantic.dataclasses import dataclass
 
 from metafab.spec.cell import SidewallAngle
-from metafab.spec.fields import CONFIG, Checked, Index, NonNegative, Positive, Real
+from metafab.spec.fields import Checked, Index, NonNegative, Positive, Real, spec
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class BeamTerm(Checked):
     """One term of the beam's point-spread function."""
 
@@ -29,7 +28,7 @@ class BeamTerm(Checked):
             yield "`exponent` must be given for a power law, and only for it"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class ExposureProcess(Checked):
     """Electron-beam exposure (``[process.exposure]``): the beam as a preset, as terms, or as a table."""
 
@@ -73,7 +72,7 @@ class ExposureProcess(Checked):
             yield "`table_unit` and `table_energy` belong to `table_file`"
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Etch:
     """Dry etch (``[process.etch]``): difference between made and printed pillars."""
 
@@ -93,7 +92,7 @@ class Etch:
         return {name: value for name, value in axes.items() if value is not None}
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Process:
     """Fabrication process (``[process]``)."""
 

@@ -10,12 +10,11 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BeforeValidator
-from pydantic.dataclasses import dataclass
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import Fault, InputError
 from metafab.core.storage.pictures import read_counts
-from metafab.spec.fields import CONFIG, LARGEST, Positive
+from metafab.spec.fields import LARGEST, Positive, spec
 
 _ONE_SHAPE = "give all files of `[rgbd]` one shape"
 
@@ -37,7 +36,7 @@ class RgbdArrays(NamedTuple):
     contrast: FloatArray  #: I_x / I_y, above zero.
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Rgbd:
     """A picture with its depth, which fills the field (table ``[rgbd]`` of a scene file).
 

@@ -9,13 +9,12 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
-from pydantic.dataclasses import dataclass
 
-from metafab.spec.fields import CONFIG, Checked, Fraction, NonNegative, Positive, Real
+from metafab.spec.fields import Checked, Fraction, NonNegative, Positive, Real, spec
 from metafab.spec.scene.rgbd import Rgbd
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class SceneObject(Checked):
     """An opaque surface: flat, tilted or bulging; nearer objects occlude farther ones.
 
@@ -71,7 +70,7 @@ class SceneObject(Checked):
         return lowest, highest
 
 
-@dataclass(frozen=True, config=CONFIG)
+@spec()
 class Scene(Checked):
     """A scene (table ``[scene]`` of a design, or a file of its own)."""
 

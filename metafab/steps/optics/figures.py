@@ -20,6 +20,12 @@ if TYPE_CHECKING:
 _LEAST_HELD_PERCENT = 2.0
 #: Error of the amplitudes of made pillars above which there is a warning. Corners of silicon reach 0.06.
 _LARGEST_MADE_ERROR = 0.15
+#: Remedies of a window that does not hold the light. A design refuses the key where windows follow images of objects.
+_WIDEN = "Widen the window with `verify.window_px` (`metafab psf --window-px N`)"
+_MOVE = (
+    "move it with `metafab psf --centre-um X Y` or, in a design without scene and `split_lens`, with "
+    "`verify.centre_um = [x, y]`"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,8 +93,7 @@ class PairFigures:
         place = f"({x:.4g}, {y:.4g})" if (x, y) == (x_2, y_2) else f"({x:.4g}, {y:.4g}) and ({x_2:.4g}, {y_2:.4g})"
         return [
             f"the window misses the light: most of it lands about {place} um from the axis (x and y polarisation). "
-            "Place the window there with `verify.centre_um = [x, y]` (`metafab psf --centre-um X Y`), or widen it with "
-            "`verify.window_px`"
+            f"{_WIDEN}, or {_MOVE}"
         ]
 
     @property
@@ -111,8 +116,7 @@ class PairFigures:
             return []
         return [
             f"the window holds {held:.2g} % of the transmitted light: the spot is wider, or the light goes to many "
-            "places. Are focal length and sensor's focus as meant? Widen the window with `verify.window_px` "
-            "(`metafab psf --window-px N`)"
+            f"places. Are focal length and sensor's focus as meant? {_WIDEN}"
         ]
 
     def _cut(self) -> str:
@@ -121,8 +125,7 @@ class PairFigures:
         )
         return (
             f"the brightest pixel lies on the edge of the window{held}: lobe, widths and shares are those of a part of "
-            "the image. Widen the window with `verify.window_px` (`metafab psf --window-px N`), or move it with "
-            "`verify.centre_um = [x, y]` (`--centre-um X Y`)"
+            f"the image. {_WIDEN}, or {_MOVE}"
         )
 
 

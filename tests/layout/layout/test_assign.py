@@ -290,5 +290,5 @@ def test_a_choice_among_neighbours_needs_their_model(
     with pytest.raises(ValueError, match='goes with `gap_rule = "each"`'):
         replace(asked.rules, gap_rule="pairs")
     for number in (0, 1, 1.0):
-        with pytest.raises(ValueError, match='must be false, true or "table"'):
+        with pytest.raises(InputError, match=rf'`neighbours`: expected false, true or "table", got {number}$'):
             replace(asked.rules, neighbours=number)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 from shapely import STRtree
 from shapely.geometry import box
 
@@ -60,7 +59,7 @@ def test_rows_are_a_whole_nanometre_and_nearly_regular() -> None:
     assert cell.period_nm == (350.0, 303.0)
     assert abs(303.0 / (350.0 * math.sqrt(3.0) / 2.0) - 1.0) < 4e-4
     assert CellGeometry(period_nm=(350.0, 303.5), height_nm=600.0, lattice="hexagonal").period_nm == (350.0, 303.5)
-    with pytest.raises(ValidationError, match="within 1 %"):
+    with pytest.raises(InputError, match="within 1 %"):
         CellGeometry(period_nm=(350.0, 330.0), height_nm=600.0, lattice="hexagonal")
 
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from metafab.camera import RawFrame, capture, film
 from metafab.camera.capture import FixedPattern, expose
 from metafab.camera.rendering.motion import Shutter
 from metafab.core.conventions import FloatArray
+from metafab.core.errors import InputError
 from metafab.optics.point_spread import Psf
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
@@ -173,10 +173,10 @@ def test_a_scenes_depths_span_tilts_and_films() -> None:
 
 @pytest.mark.parametrize("wrong", [{"bulge": (0.4, 0.2)}, {"tilt": (0.9, 0.2)}])
 def test_shapes_that_reach_the_lens_are_refused(wrong: dict[str, tuple[float, float]]) -> None:
-    with pytest.raises(ValidationError, match="at most half"):
+    with pytest.raises(InputError, match="at most half"):
         SceneObject(depth_m=1.0, **wrong)
 
 
 def test_a_rolling_shutter_slower_than_the_film_is_refused() -> None:
-    with pytest.raises(ValidationError, match="row_time_s"):
+    with pytest.raises(InputError, match="row_time_s"):
         scene(row_time_s=1e-3)

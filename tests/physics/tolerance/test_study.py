@@ -24,14 +24,14 @@ from metafab.spec import Device, UnitCell
 from metafab.spec.design import Tolerances
 from metafab.tolerance import ToleranceTable, corner_fields, load_tolerance, save_tolerance, tolerance_table
 from metafab.tolerance.corners import SLICE_CHECKS, MaskSizes, slice_error
-from metafab.tolerance.mask_light import Light, MaskOptics
+from metafab.tolerance.mask_light import Light, MaskOptics, PsfConditions
 from metafab.tolerance.reference import DepthDecoder, Reference
 from metafab.tolerance.scatter import Stitched
 from metafab.tolerance.study import require_block_memory
 from tests import optics_lens as lens
 
 OPTICS = lens.imaging()
-DEPTHS_M = [0.84e-3, 0.88e-3, 0.92e-3]
+DEPTHS_M = (0.84e-3, 0.88e-3, 0.92e-3)
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +143,9 @@ def test_corners_of_slanting_light_are_solved_in_it(small_library: Library) -> N
 @pytest.fixture(scope="module")
 def table(written: WrittenField, small_library: Library) -> ToleranceTable:
     asked = Tolerances(cd_bias_nm=4.0, sidewall_deg=0.0, stitching_nm=20.0, draws=6)
-    return tolerance_table(written, small_library, OPTICS, DEPTHS_M, asked, 50, PsfNumerics(window_px=48))
+    return tolerance_table(
+        written, small_library, asked, PsfConditions(OPTICS, DEPTHS_M, PsfNumerics(window_px=48)), 50
+    )
 
 
 def test_the_mask_itself_changes_nothing(table: ToleranceTable) -> None:
@@ -168,7 +170,7 @@ def test_every_corner_has_its_row(table: ToleranceTable) -> None:
 def test_a_depth_is_what_the_twins_agree_on(written: WrittenField) -> None:
     """A mask whose PSFs are those of another depth: the decoder that knows the nominal ones says that depth."""
     numerics = PsfNumerics(window_px=48, target_error=1e-3)
-    optics, pupils, _ = MaskOptics.of(written, OPTICS, DEPTHS_M, numerics)
+    optics, pupils, _ = MaskOptics.of(written, PsfConditions(OPTICS, DEPTHS_M, numerics))
     there = [0.85e-3, 0.9e-3, 0.91e-3]
     pair = psf(written, OPTICS, there, numerics).psf
     assert DepthDecoder.of(optics, pupils).depth_m(pair) == pytest.approx(there, rel=1e-3)
@@ -199,7 +201,8 @@ def test_workers_change_nothing(written: WrittenField, small_library: Library) -
 
 def test_one_field_is_not_stitched(written: WrittenField, small_library: Library) -> None:
     none = Tolerances(cd_bias_nm=0.0, height_nm=0.0, sidewall_deg=0.0, pillar_n=0.0, missing_share=0.0, draws=2)
-    table = tolerance_table(written, small_library, OPTICS, DEPTHS_M[:1], none, 5000, PsfNumerics(window_px=32))
+    conditions = PsfConditions(OPTICS, DEPTHS_M[:1], PsfNumerics(window_px=32))
+    table = tolerance_table(written, small_library, none, conditions, 5000)
     assert [row.corner for row in table.rows] == ["misplacement 10 nm rms"]
 
 
@@ -251,9 +254,8 @@ def test_a_table_reaches_to_infinity(written: WrittenField, small_library: Libra
     """The depth error is of the finite depths."""
     none = {"cd_bias_nm": 0.0, "height_nm": 0.0, "sidewall_deg": 0.0, "pillar_n": 0.0, "misplacement_nm": 0.0}
     asked = Tolerances(**none, stitching_nm=0.0, missing_share=1e-3, draws=2)
-    found = tolerance_table(
-        written, small_library, OPTICS, [0.84e-3, 0.9e-3, math.inf], asked, 5000, PsfNumerics(window_px=48)
-    )
+    conditions = PsfConditions(OPTICS, (0.84e-3, 0.9e-3, math.inf), PsfNumerics(window_px=48))
+    found = tolerance_table(written, small_library, asked, conditions, 5000)
     assert math.isfinite(found.rows[0].change) and found.depth_m[-1] == math.inf
 
 
@@ -261,7 +263,7 @@ def test_a_filter_smears_the_light_of_the_table(written: WrittenField) -> None:
     """The table compares the pair that :func:`psf` gives behind the same filter, not that of one wavelength."""
     one_wavelength = PsfNumerics(window_px=16, target_error=1e-3)
     filtered = replace(one_wavelength, filter_fwhm_nm=30.0)
-    optics, pupils, _ = MaskOptics.of(written, OPTICS, [0.88e-3], filtered)
+    optics, pupils, _ = MaskOptics.of(written, PsfConditions(OPTICS, (0.88e-3,), filtered))
     one, band = (psf(written, OPTICS, [0.88e-3], numerics) for numerics in (one_wavelength, filtered))
     light = optics.light(pupils)
     assert relative_l2(light.pair, band.psf) < 2.0 * filtered.target_error
@@ -273,7 +275,7 @@ def test_one_window_has_neither_extinction_nor_depth_nor_turn(written: WrittenFi
     alone = lens.imaging(split_angle_deg=0.0)
     device = Device(aperture_um=alone.aperture_um, focal_length_mm=alone.focal_length_mm)
     perfect = ideal_field(PerfectLens(alone, DEPTHS_M[1]), written.lattice, device)
-    optics, pupils, error = MaskOptics.of(perfect, alone, DEPTHS_M, PsfNumerics(window_px=48))
+    optics, pupils, error = MaskOptics.of(perfect, PsfConditions(alone, DEPTHS_M, PsfNumerics(window_px=48)))
     reference = Reference.of(optics, pupils, error)
     row = reference.row("nominal", [reference.nominal], 0.0)
     assert all(math.isnan(value) for value in (row.extinction_ratio, row.depth_error_m, row.turn_deg))
@@ -292,7 +294,8 @@ def test_the_focus_of_a_lens_at_a_corner_is_that_of_its_own_measurement(written:
     aberrated = ideal_field(_Aberrated(alone, DEPTHS_M[1]), lattice, device)
     for polarisations in ((0, 1), (0,)):
         of = LensFocus(perfect, DEPTHS_M[1], polarisations)
-        optics, pupils, error = MaskOptics.of(perfect, alone, DEPTHS_M, PsfNumerics(window_px=48), lens=of)
+        conditions = PsfConditions(alone, DEPTHS_M, PsfNumerics(window_px=48), lens=of)
+        optics, pupils, error = MaskOptics.of(perfect, conditions)
         reference = Reference.of(optics, pupils, error)
         nominal = reference.row("nominal", [reference.nominal], 0.0)
         row = reference.row("aberrated", [optics.light(optics.sums(aberrated))], 0.0)
@@ -317,4 +320,15 @@ def test_slopes_of_rings_are_refused_by_their_key(written: WrittenField, small_l
     cell = replace(small_library.unit_cell.cell, shape="ring", wall_nm=40.0)
     rings = replace(small_library, unit_cell=replace(small_library.unit_cell, cell=cell))
     with pytest.raises(InputError, match=r'sidewall_deg.*expected 0 for cells of the shape "ring"'):
-        tolerance_table(written, rings, OPTICS, DEPTHS_M, Tolerances(sidewall_deg=1.0), 50)
+        tolerance_table(written, rings, Tolerances(sidewall_deg=1.0), PsfConditions(OPTICS, DEPTHS_M), 50)
+
+
+def test_what_would_leave_the_mask_as_it_is_is_refused(written: WrittenField, small_library: Library) -> None:
+    """A misspelt axis gave the corners of the nominal mask."""
+    with pytest.raises(InputError, match=r"`hieght_nm`: expected an axis: .*; did you mean `height_nm`\?"):
+        corner_fields(written, small_library, {"hieght_nm": 10.0})
+    conditions = PsfConditions(OPTICS, DEPTHS_M)
+    with pytest.raises(InputError, match="`field_sites`: expected at least 1 site, got 0"):
+        tolerance_table(written, small_library, Tolerances(), conditions, 0)
+    with pytest.raises(InputError, match="`conditions`: expected PsfConditions, got Imaging"):
+        tolerance_table(written, small_library, Tolerances(), OPTICS, 50)  # type: ignore[arg-type]

@@ -11,7 +11,6 @@ from metafab.cell import Slice
 from metafab.cell.fresnel import interface
 from metafab.cell.supercell import Supercell, SupercellResponse
 from metafab.core.errors import InputError
-from metafab.fullwave.patch import at_sites
 from tests.paper_cell import EMPTY
 
 #: Unlike along x and y.
@@ -67,7 +66,7 @@ def test_lone_pillars_predict_the_fourier_series_of_their_responses() -> None:
     all_orders = np.stack([m.ravel(), n.ravel()], axis=-1)
     amplitude = BLOCK.local_period(all_orders, responses)
     # As many orders as sites: nothing is lost, and the sum of orders at the sites gives the responses back.
-    np.testing.assert_allclose(at_sites(BLOCK, all_orders, amplitude), responses, atol=1e-12)
+    np.testing.assert_allclose(BLOCK.at_sites(all_orders, amplitude), responses, atol=1e-12)
     assert np.sum(np.abs(amplitude) ** 2) == pytest.approx(np.mean(np.abs(responses) ** 2))
 
 

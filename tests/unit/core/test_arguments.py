@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from metafab import camera, decode, layout, library, mask, optics, phase
+from metafab import camera, decode, exposure, layout, library, mask, materials, optics, phase
 from metafab.core.arguments import is_several, require_types
 from metafab.core.errors import InputError
 from metafab.layout import Assignment
 from metafab.library import Library
-from metafab.spec import Design, Scene, SceneObject
+from metafab.spec import Design, Scene, SceneObject, make_design
 from tests.closed_form_run import turning_psf
 
 
@@ -71,6 +71,31 @@ def test_exchanged_arguments_are_named(design: Design, smooth_library: Library) 
         camera.capture(turning_psf(), Scene(objects=(SceneObject(depth_m=0.003),)))  # type: ignore[arg-type]
     with pytest.raises(InputError, match="`frame`: expected a RawFrame"):
         decode.decode(turning_psf(), turning_psf())  # type: ignore[arg-type]
+
+
+def test_names_in_place_of_what_they_name_are_refused(mapped: Assignment) -> None:
+    with pytest.raises(InputError, match=r"got 'Si/Schinke'; `Material\(record='Si/Schinke'\)` is one"):
+        materials.refractive_index("Si/Schinke", 800.0)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="`process`: expected ExposureProcess, got str"):
+        exposure.beam_psf("hsq_sos_100kv")  # type: ignore[arg-type]
+    with pytest.raises(InputError) as refused:
+        exposure.expose(mapped, "hsq_sos_100kv")  # type: ignore[arg-type]
+    assert "`pillars`: expected PillarMap, got Assignment; give its `pillars`" in str(refused.value)
+    assert "`psf`: expected BeamPsf, got str" in str(refused.value)
+
+
+def test_a_design_in_place_of_its_parts_and_the_reverse_are_refused(design: Design) -> None:
+    with pytest.raises(InputError, match="`cell`: expected UnitCell, got Design; give its `unit_cell`"):
+        make_design(
+            design,  # type: ignore[arg-type]
+            aperture_um=30.0,
+            focal_length_mm=0.2,
+            pixel_um=1.0,
+            focus_depth_m=1.0,
+            phase=[],
+        )
+    with pytest.raises(InputError, match="`design`: expected Design, got UnitCell"):
+        phase.profile_of(design.unit_cell)  # type: ignore[arg-type]
 
 
 def test_a_library_is_built_of_a_unit_cell_alone(design: Design, tmp_path: Path) -> None:

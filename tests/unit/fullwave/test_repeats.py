@@ -42,19 +42,19 @@ def _block(turns: np.ndarray) -> np.ndarray:
 def test_a_repeat_is_exact_or_nearly_so(turns_x: float, sites: int) -> None:
     x, y = np.meshgrid(np.arange(100), np.arange(80))
     block = _block(x * turns_x + y / 4.0)
-    assert repeats._repeat([block], 1) == sites
-    assert repeats._repeat([block], 0) == 4
+    assert repeats.repeat_sites([block], 1) == sites
+    assert repeats.repeat_sites([block], 0) == 4
 
 
 def test_neither_a_lens_nor_noise_repeats() -> None:
     x, y = np.meshgrid(np.arange(100) - 50.0, np.arange(100) - 50.0)
     noise = np.random.default_rng(3).random((100, 100))
     for turns in (2e-3 * (x**2 + y**2), 2e-4 * (x**2 + y**2), noise):
-        assert repeats._repeat([_block(turns)], 1) == 0
+        assert repeats.repeat_sites([_block(turns)], 1) == 0
     # A ramp that differs from place to place repeats in each block, and not in both.
     ramps = [_block(x / sites) for sites in (7.0, 9.0)]
-    assert [repeats._repeat([ramp], 1) for ramp in ramps] == [7, 9]
-    assert repeats._repeat(ramps, 1) == 0
+    assert [repeats.repeat_sites([ramp], 1) for ramp in ramps] == [7, 9]
+    assert repeats.repeat_sites(ramps, 1) == 0
 
 
 def test_the_orders_of_a_repeat_are_those_of_the_periodic_row(pillars: PillarMap, ramp_library: Library) -> None:
@@ -91,12 +91,12 @@ def test_windows_whose_change_is_alike_are_solved_finely_by_the_few(
         i, resolution = round(work[0].size_nm[0, 0, 0]) - 100, work[1]
         return np.zeros((3, 2, 2), complex), np.full((2, 3), truth[i] + (0.02 + random[i]) * (3.0 - resolution))
 
-    monkeypatch.setattr(repeats, "_solve", solved)
+    monkeypatch.setattr(repeats, "solve_window", solved)
     counts, within = [], []
     for _ in range(50):
         random = uneven * draws.standard_normal(8)
-        found = repeats._solve_windows(windows, weight, SerialExecutor(), silent)
-        change, error, bound = repeats._correction(found, weight, windows[0].cell)
+        found = repeats.solve_windows(windows, weight, SerialExecutor(), silent)
+        change, error, bound = repeats.mean_change(found, weight, windows[0].cell)
         assert np.all(error <= 0.5 * bound)
         assert len(set(found.fine)) == len(found.change)
         counts.append(len(found.fine))

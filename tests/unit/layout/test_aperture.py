@@ -11,7 +11,6 @@ import pytest
 import shapely
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from metafab.core.errors import InputError
 from metafab.layout import Aperture, Lattice, lattice_of
@@ -135,7 +134,7 @@ def test_blocks_and_tiles_are_parts_of_the_whole(small_design: Design, row: int,
     ],
 )
 def test_outlines_that_make_no_aperture_are_refused(small_design: Design, device: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValidationError, match=message):
+    with pytest.raises(InputError, match=message):
         _with(small_design, **device)
 
 

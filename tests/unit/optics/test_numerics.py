@@ -31,6 +31,7 @@ NAN = math.nan
         ("target_error", {"target_error": NAN}),
         ("target_error", {"target_error": 5e-6, "filter_fwhm_nm": 1.0}),
         ("window_px", {"window_px": 0}),
+        ("window_px", {"window_px": 16.5}),
         ("tangent", {"tangent": (NAN, 0.0)}),
         ("field_tangents", {"field_tangents": (np.array([0.1, 0.0]), np.zeros(1))}),
         ("field_tangents", {"field_tangents": (np.array([0.0, NAN]), np.zeros(1))}),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,9 +12,11 @@ import pytest
 
 from metafab.core.errors import InputError
 from metafab.spec import Sensor, UnitCell, load_design, load_unit_cell, make_design, make_unit_cell
-from metafab.spec.cell import CellGeometry, CellMaterials, Illumination, Material
+from metafab.spec.cell import Axes, CellGeometry, CellMaterials, Illumination, Layer, Material
+from metafab.spec.design import Tolerances
 from metafab.spec.device import Device
 from metafab.spec.terms import Lens, SpiralZones, SplitLens
+from metafab.spec.toml import canonical_toml, parse_toml
 
 ROOT = Path(__file__).parents[3]
 
@@ -35,6 +38,18 @@ def test_a_cell_in_python_is_the_cell_of_the_file() -> None:
     assert made.illumination == read.illumination
     assert made.sweep == read.sweep
     assert (made.materials.pillar.n, made.materials.pillar.k) == (read.materials.pillar.n, read.materials.pillar.k)
+
+
+def test_the_other_keys_are_set_by_replacement() -> None:
+    """And refused like those of a file."""
+    cell = paper_cell()
+    film = Layer(height_nm=20.0, material=Material(n=1.46))
+    built = replace(cell, cell=replace(cell.cell, sidewall_angle_deg=88.0, film=(film,)))
+    assert parse_toml(canonical_toml(built), ROOT)["cell"]["film"][0]["height_nm"] == 20.0
+    swept = replace(cell, sweep=replace(cell.sweep, axes=Axes(height_nm=(580.0, 620.0))))
+    assert swept.sweep.axes is not None and swept.sweep.axes.spans == {"height_nm": (580.0, 620.0)}
+    with pytest.raises(InputError, match=r"`sweep.axes.height_nm` must contain the cell's own 600"):
+        replace(cell, sweep=replace(cell.sweep, axes=Axes(height_nm=(610.0, 620.0))))
 
 
 def test_a_ring_in_python_has_a_wall_or_a_hole() -> None:
@@ -130,3 +145,20 @@ def test_single_values_in_place_of_sequences_are_refused_by_name() -> None:
             wavelength_nm=800,
             sizes_nm=(100, 250),  # type: ignore[arg-type]
         )
+
+
+def test_a_spec_that_python_makes_by_itself_states_all_faults_in_our_words() -> None:
+    """They also are a ValueError, as those of Python's own types."""
+    with pytest.raises(InputError) as refused:
+        Tolerances(cd_bias_nm=-1.0, draws=1, missing=0.1)  # type: ignore[call-arg]
+    assert isinstance(refused.value, ValueError)
+    assert refused.value.source == "Tolerances"
+    assert [fault.field for fault in refused.value.faults] == ["cd_bias_nm", "draws", "missing"]
+    assert "did you mean `missing_share`?" in str(refused.value)
+    with pytest.raises(InputError, match=r"SplitLens:\n  `angle_deg`: expected a number less than 90, got 95.0"):
+        SplitLens(angle_deg=95.0)
+    with pytest.raises(InputError, match=r"Sensor:\n  `focus_depth_m`: expected a value, got nothing"):
+        Sensor(pixel_um=1.0)  # type: ignore[call-arg]
+    with pytest.raises(InputError, match="at least 2 to be optimised"):
+        replace(SpiralZones(), zones=1, optimise="peak")
+    assert pickle.loads(pickle.dumps(refused.value)).faults == refused.value.faults

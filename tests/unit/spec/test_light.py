@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from pydantic import ValidationError
 
+from metafab.core.errors import InputError
 from metafab.optics import load
 from metafab.spec import Design, Light
 from metafab.spec.cell import Axes
@@ -24,27 +24,27 @@ def test_several_lights_are_checked(small_design: Design) -> None:
     assert replace(small_design, light=(OTHER, OWN)).light[0].weight == 1.0
     for lights in ((OWN,), (OTHER,), (OWN, OWN), (OTHER, Light(750.0))):
         with pytest.raises(
-            ValidationError, match="two or more different wavelengths or directions, the 800 nm of the unit cell"
+            InputError, match="two or more different wavelengths or directions, the 800 nm of the unit cell"
         ):
             replace(small_design, light=lights)
-    with pytest.raises(ValidationError, match=r"leave out `light\.phase`"):
+    with pytest.raises(InputError, match=r"leave out `light\.phase`"):
         replace(small_design, light=(OTHER, Light(800.0, phase=(Lens(),))))
-    with pytest.raises(ValidationError, match=r"not available with `rules\.gap_rule"):
+    with pytest.raises(InputError, match=r"not available with `rules\.gap_rule"):
         replace(small_design, light=(OTHER, OWN), rules=replace(small_design.rules, gap_rule="pairs"))
-    with pytest.raises(ValidationError, match=r"not available with `optics\.neighbours`"):
+    with pytest.raises(InputError, match=r"not available with `optics\.neighbours`"):
         replace(small_design, light=(OTHER, OWN), optics=Optics(neighbours=True))
-    with pytest.raises(ValidationError, match=r"not available with `optics\.oblique`"):
+    with pytest.raises(InputError, match=r"not available with `optics\.oblique`"):
         replace(small_design, light=(OTHER, OWN), optics=Optics(oblique=True))
-    with pytest.raises(ValidationError, match=r"`optics\.oblique` needs a `scene`"):
+    with pytest.raises(InputError, match=r"`optics\.oblique` needs a `scene`"):
         replace(small_design, scene=None, optics=Optics(oblique=True))
-    with pytest.raises(ValidationError, match="phase"):
+    with pytest.raises(InputError, match="phase"):
         Light(700.0, phase=())
 
 
 def test_light_at_an_angle_needs_an_axis_of_the_library(small_design: Design) -> None:
     slanting = Light(800.0, angle_x_deg=-6.0)
     assert slanting.label == "800 nm, -6 deg in x-z"
-    with pytest.raises(ValidationError, match=r"needs a `sweep\.axes\.angle_x_deg` that holds 6, got none"):
+    with pytest.raises(InputError, match=r"needs a `sweep\.axes\.angle_x_deg` that holds 6, got none"):
         replace(small_design, light=(OWN, slanting))
     cell = small_design.unit_cell
     swept = replace(cell, sweep=replace(cell.sweep, axes=Axes(angle_x_deg=(0.0, 8.0))), neighbours=None)
@@ -56,7 +56,7 @@ def test_light_at_an_angle_needs_an_axis_of_the_library(small_design: Design) ->
         (Light(800.0, angle_y_deg=5.0), "`sweep.axes.angle_y_deg`"),
         (slanting, "different wavelengths or directions"),
     ):
-        with pytest.raises(ValidationError, match=message):
+        with pytest.raises(InputError, match=message):
             replace(design, light=(OWN, slanting, light))
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 
 import pytest
-from pydantic import ValidationError
 
 from metafab.core.errors import InputError
 from metafab.spec import Design, Optics, SceneObject
@@ -71,5 +70,5 @@ def test_images_without_a_split_are_refused(small_design: Design) -> None:
 
 
 def test_more_than_full_polarisation_is_refused() -> None:
-    with pytest.raises(ValidationError, match="longer than 1"):
+    with pytest.raises(InputError, match="longer than 1"):
         SceneObject(depth_m=1.0, stokes=(0.8, 0.8, 0.0))

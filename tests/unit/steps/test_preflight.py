@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from metafab.core.conventions import FloatArray
 from metafab.core.errors import InputError
@@ -146,5 +145,5 @@ def test_the_field_of_round_pillars_cannot_be_inverted() -> None:
 def test_a_stop_smaller_than_two_pillars_is_refused() -> None:
     """0.18 millimetres, given in micrometres' place, would pass no light."""
     design = load_design(ROOT / "layouts" / "helix_small.toml")
-    with pytest.raises(ValidationError, match=r"optics.stop_um.*got 0.18; is it in micrometres"):
+    with pytest.raises(InputError, match=r"optics.stop_um.*got 0.18; is it in micrometres"):
         replace(design, optics=Optics(stop_um=0.18))

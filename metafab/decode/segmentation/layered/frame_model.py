@@ -78,7 +78,7 @@ class FrameModel:
             white: list[NDArray[np.complex64] | None] = [None] * len(groups)
             for _ in range(_ROUNDS):
                 found = pool.map(lambda group, *last: group.model.expected(*last), groups, shares, white)
-                typical = _typical_energy(groups, [one.energy for one in found], len(self.regions.depths))
+                typical = typical_energy(groups, [one.energy for one in found], len(self.regions.depths))
                 shares = pool.map(
                     lambda group, one, typical=typical: group.model.share(one, typical[group.layer]), groups, found
                 )
@@ -252,7 +252,7 @@ def _without_specks(owner: NDArray[np.int32], label: NDArray[np.int32]) -> NDArr
     return kept
 
 
-def _typical_energy(
+def typical_energy(
     groups: Sequence[TileGroup], energies: Sequence[NDArray[np.float32]], count: int
 ) -> NDArray[np.float32]:
     """Median energy of each layer's whitened light at its pixels away from outlines: shape (count,).

@@ -40,7 +40,7 @@ _NEARER = 2e-3
 #: measured with 48 to 58 pairs of a tile and a layer (peak of tracemalloc in the frame model's methods, less what was
 #: held before; frames of 300 x 170 px, on one and two cores), of which 23 to 27 last from round to round. With 8 to 27
 #: pairs the peak is up to 170, because the threads' arrays count for more.
-_BYTES_A_PIXEL = 130
+BYTES_A_PIXEL = 130
 #: Pairs of a tile and a layer that are computed at once: more leave the cache, fewer take more calls. 4 take a tenth
 #: longer.
 _PAIRS_AT_ONCE = 12
@@ -111,7 +111,7 @@ class FrameLayers:
         """
         tiles, (n_y, n_x) = self._tiles(near), self.optics.tiling.size
         ends = np.cumsum([len(layers) for _, layers in tiles])
-        if not tiles or int(ends[-1]) * n_y * n_x * _BYTES_A_PIXEL > _MOST_BYTES:
+        if not tiles or int(ends[-1]) * n_y * n_x * BYTES_A_PIXEL > _MOST_BYTES:
             return []
         parts = pairwise([0, *(np.flatnonzero(np.diff(ends // _PAIRS_AT_ONCE)) + 1).tolist(), len(tiles)])
         with kept_threads() as pool:

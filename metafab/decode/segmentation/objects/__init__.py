@@ -2,7 +2,9 @@
 
 - ``null_channel``   difference of the twins in which a surface vanishes, and the evidence of light before it
 - ``object_window``  images, pair and texture about a small object
-- ``object_fit``     depth of a rectangle or an ellipse before a surface, by a model of both images with occlusion
+- ``object_scene``   images of a rectangle or an ellipse before a surface, with occlusion, and their slopes
+- ``object_solver``  least squares for their textures and unknowns, and the posterior
+- ``object_fit``     depth of a rectangle or an ellipse before a surface, by that model
 - ``small_objects``  rectangles and ellipses of light before a segment, by ascent of their evidence
 - ``bars``           straight bars narrower than a window before a segment, by ridges of its misfit
 - ``plain_objects``  objects without texture, by the depth of their outlines

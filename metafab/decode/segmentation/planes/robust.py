@@ -19,6 +19,7 @@ _FEWEST_CELLS = 8
 _SIGNIFICANT, _SMALLEST_RISE = 6.0, 5e-3
 #: Distance from the plane, in typical distances, from which Tukey's biweight rejects a cell.
 _TUKEY = 4.7
+#: Fits, each weighted by the residuals of the one before.
 _TUKEY_ROUNDS = 8
 #: Random triples of cells that the least median of squares tries.
 _TRIPLES = 200

@@ -148,10 +148,10 @@ def fitted_chains(plans: Sequence[Plan], calls: Executor, fits: Checkpoint, prog
 
     tasks = [(plan, seed) for plan in plans for seed in range(STARTS)]
     step = "first fits of the chains"
-    starts = kept_results(calls, _start, tasks, fits, 0, _parameters, started, step, progress)
+    starts = kept_results(calls, start_of, tasks, fits, 0, _parameters, started, step, progress)
     ends = [(plan, starts[k * STARTS : (k + 1) * STARTS]) for k, plan in enumerate(plans)]
     step = "last fits of the chains"
-    return kept_results(calls, _finish, ends, fits, len(tasks), _parameters, finished, step, progress)
+    return kept_results(calls, finish_of, ends, fits, len(tasks), _parameters, finished, step, progress)
 
 
 def _parameters(model: LineModel) -> Numbers:
@@ -169,12 +169,14 @@ def refitted_lines(tasks: Sequence[tuple[Plan, LineModel]], calls: Executor, pro
 
 
 # One thread, so that the parameters do not depend on the number of cores.
-def _start(task: tuple[Plan, int]) -> LineModel:
+def start_of(task: tuple[Plan, int]) -> LineModel:
+    """Fit a start of a plan by its seed."""
     with one_blas_thread():
         return task[0].start(task[1])
 
 
-def _finish(task: tuple[Plan, list[LineModel]]) -> LineModel:
+def finish_of(task: tuple[Plan, list[LineModel]]) -> LineModel:
+    """Fit the best of a plan's starts to its end."""
     with one_blas_thread():
         return task[0].finish(task[1])
 

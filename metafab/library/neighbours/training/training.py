@@ -36,7 +36,7 @@ def inputs_of_rows(library: Library) -> str:
 
     It depends neither on the number of rows nor on the fit: more rows, or another fit, continue from the solved rows.
     """
-    samplers = _samplers(library)
+    samplers = row_samplers(library)
     drawn = [hashlib.sha256(each.size_nm.tobytes() + each.t.tobytes()).hexdigest() for each in samplers]
     code = sources_sha256(("metafab.library.neighbours.rows",), ())
     return fingerprint([each.cell for each in samplers], drawn, ROW_KINDS, RESOLUTION, code)
@@ -71,7 +71,7 @@ def train(
     """
     if library.unit_cell.neighbours is None:
         raise ValueError("the unit cell has no table `neighbours`")
-    samplers, asked = _samplers(library), library.unit_cell.neighbours
+    samplers, asked = row_samplers(library), library.unit_cell.neighbours
     calls = executor or SerialExecutor()
     of_fits = inputs_of_fits(library)
     fits = Checkpoint(checkpoint and checkpoint.with_suffix(f".{of_fits[:8]}.fits"), of_fits)
@@ -96,7 +96,7 @@ def train(
     return neighbours
 
 
-def _samplers(library: Library) -> list[RowSampler]:
+def row_samplers(library: Library) -> list[RowSampler]:
     """Rows of each direction and polarisation; rows along y are exchanged into rows along x."""
     width, length = np.meshgrid(library.width_nm, library.length_nm)
     size_nm, t = np.stack([width, length], axis=-1).reshape(-1, 2), library.t.reshape(-1, 2)

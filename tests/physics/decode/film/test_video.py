@@ -6,9 +6,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from metafab.camera import RawFrame, capture, film
+from metafab.core.errors import InputError
 from metafab.core.storage.tables import applicable
 from metafab.decode import Decoder, VideoDecoder
 from metafab.optics.point_spread import Psf
@@ -262,9 +262,9 @@ def test_a_second_look_seeks_no_continuous_surface(psf: Psf) -> None:
     decoder = video(psf, frame).decoder
     prepared = decoder.prepare(frame)
     assert not isinstance(prepared, str)
-    volume = decoder.match(prepared)
-    assert decoder.segment(prepared, volume)[1].continuous
-    assert not decoder.segment(prepared, volume, surfaces=False)[1].continuous
+    matched = decoder.match(prepared)
+    assert decoder.segment(matched)[1].continuous
+    assert not decoder.segment(matched, surfaces=False)[1].continuous
 
 
 def test_other_light_and_another_scene_are_decoded_anew(psf: Psf, frames: list[RawFrame]) -> None:
@@ -354,7 +354,7 @@ def test_a_rolling_shutter_moves_depth_one_way_and_the_other(psf: Psf) -> None:
 
 
 def test_impossible_films_are_refused() -> None:
-    with pytest.raises(ValidationError, match="through the lens"):
+    with pytest.raises(InputError, match="through the lens"):
         dataclasses.replace(SCENE, objects=(dataclasses.replace(CAR, velocity_m_per_s=(0.0, 0.0, -1.0)),))
-    with pytest.raises(ValidationError, match="frame_interval_s"):
+    with pytest.raises(InputError, match="frame_interval_s"):
         dataclasses.replace(SCENE, exposure_s=1.0)

@@ -12,9 +12,10 @@ from tests.steep_ground import errors, matched, photographed
 def test_the_outline_of_a_disc_moves_to_the_edge_of_its_light() -> None:
     decoder, frame = photographed(disc_light=3.0)
     prepared, volume, _ = matched(decoder, frame)
-    decoded = decoder.complete(prepared, volume)
+    again = decoder.match(prepared)
+    decoded = decoder.complete(again)
     # Two planes are hardly off this surface, and the decoder takes either.
-    planes = replace(decoder.segment(prepared, volume)[1], surface_per_m=None)
+    planes = replace(decoder.segment(again)[1], surface_per_m=None)
     first = replace(planes, surface_per_m=matched_surface(prepared, volume).vergence_per_m)
     last = surface_at_edges(first, prepared, volume, decoded.sharp)
     assert first.surface_per_m is not None and last.surface_per_m is not None and last.right is not None

@@ -63,7 +63,7 @@ def test_a_part_of_the_volume_is_that_of_the_whole(frame: RawFrame, decoder: Dec
     """But for what the images' reduction, whose filter has long tails, mixes in from beyond the part's margin."""
     seen = decoder.prepare(frame)
     assert not isinstance(seen, str)
-    whole = decoder.match(seen)
+    whole = decoder.match(seen).volume
     block, step = decoder.filters.block, decoder.filters.downsampling.step
     part = slice(2 * block, 6 * block), slice(4 * block, 9 * block)
     filters = decoder.filters.within(*part)

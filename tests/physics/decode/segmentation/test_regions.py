@@ -62,7 +62,7 @@ def test_depths_about_saturated_pixels_make_no_layer_of_their_own(wide_psf: Psf)
         spoiled = np.zeros(prepared.downsampling.shape, dtype=bool)
         spoiled[-(-first_spoiled // step) :] = True
         vars(prepared)["spoiled"] = spoiled
-        volume = decoder.match(prepared)
+        volume = decoder.match(prepared).volume
         counts.append(len(find_regions(prepared, volume, textured_pixel_depth(prepared, volume)).depths))
     # Where nearly all pixels are spoiled, they are all there is.
     assert counts == [2, 1, 2]
@@ -149,7 +149,7 @@ def test_an_interior_beside_a_moved_outline_is_measured_again() -> None:
         assert decoder is not None and frame.truth is not None
         prepared = decoder.prepare(frame)
         assert isinstance(prepared, PreparedFrame)
-        step, volume = prepared.downsampling.step, decoder.match(prepared)
+        step, volume = prepared.downsampling.step, decoder.match(prepared).volume
         label = frame.truth.label[::step, ::step].astype(np.int32)
         wide = np.where(distance(label == 2) * step <= 36.0, 2, 1).astype(np.int32)
         inside = sum(number * interior(wide, number, step) for number in (1, 2)).astype(np.int32)

@@ -98,7 +98,7 @@ def test_beams_of_a_hexagonal_lattice_keep_their_direction(cosines: tuple[float,
     slope_x, slope_y = 2.0 * np.pi / 0.66 * np.array(cosines)
     field = np.exp(1j * (slope_x * lattice.x_um() + slope_y * lattice.y_um()[:, None]))
     field *= lattice.carries(np.arange(32), np.arange(32))
-    found, power = landing._plane_waves(field, 32, 0.66 / np.array([0.2, 0.346]), lattice)
+    found, power = landing.plane_waves(field, 32, 0.66 / np.array([0.2, 0.346]), lattice)
     bright = power > 1e-3 * power.max()
     assert bright.any()
     np.testing.assert_allclose(found[:, bright].T, np.broadcast_to(cosines, (int(bright.sum()), 2)), atol=1e-9)

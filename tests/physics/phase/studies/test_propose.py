@@ -46,3 +46,6 @@ def test_ranges_that_cannot_be_served_are_refused() -> None:
         propose(0.6, 0.25, aperture_um=2000.0, wavelength_um=0.8)
     with pytest.raises(InputError, match="allow L >= "):
         propose(0.05, 10.0, aperture_um=2000.0, wavelength_um=0.8, zones=[2, 3])
+    with pytest.raises(InputError) as refused:
+        propose(0.25, 0.6, aperture_um=-500.0, wavelength_um=0.0)
+    assert [fault.field for fault in refused.value.faults] == ["aperture_um", "wavelength_um"]

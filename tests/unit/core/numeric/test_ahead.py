@@ -98,12 +98,12 @@ def test_a_worker_of_another_pool_runs_without_help(empty_table: Path) -> None:
 def test_a_first_compilation_beside_other_threads_leaves_the_help_to_the_next(
     empty_table: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    started: list[ahead._Helpers] = []
+    started: list[ahead.Helpers] = []
 
-    def start(helpers: ahead._Helpers) -> None:
+    def start(helpers: ahead.Helpers) -> None:
         started.append(helpers)
 
-    monkeypatch.setattr(ahead._Helpers, "start", start)
+    monkeypatch.setattr(ahead.Helpers, "start", start)
     with compiling_ahead(2, empty_table):
         monkeypatch.setattr(ahead, "can_fork", lambda: False)
         ahead.start_helpers()
@@ -125,7 +125,7 @@ def test_an_error_ends_the_processes_at_once(empty_table: Path, monkeypatch: pyt
 def test_a_process_forked_during_a_compilation_does_not_keep_the_lock(tmp_path: Path) -> None:
     source = tmp_path / "kernels.py"
     source.touch()
-    with compiled._alone_with(str(source)):
+    with compiled.alone_with(str(source)):
         forked = multiprocessing.get_context("fork").Process(target=threading.Event().wait, daemon=True)
         forked.start()
     with source.open("rb") as stream:
@@ -138,7 +138,7 @@ def test_kernels_run_where_no_cache_can_be_written(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(CompileResultCacheImpl, "_locator_classes", [])
-    compiled._warn_uncached.cache_clear()
+    compiled.warn_uncached.cache_clear()
     kernels = [compiled.compiled(function) for function in (_double, _negative)]
     assert [kernel(2) for kernel in kernels] == [4, -2]
     assert [record.getMessage().partition(":")[2] for record in caplog.records] == [" set NUMBA_CACHE_DIR"]

@@ -30,7 +30,7 @@ def photographed(contrast: float) -> tuple[DecodedFrame, LayerOptics, NDArray[np
     assert decoder is not None and frame.truth is not None
     prepared = decoder.prepare(frame)
     assert not isinstance(prepared, str)
-    return decoder.complete(prepared, decoder.match(prepared)), decoder.layer_optics, frame.truth.label == 2
+    return decoder.complete(decoder.match(prepared)), decoder.layer_optics, frame.truth.label == 2
 
 
 @pytest.fixture(scope="module")
@@ -111,9 +111,9 @@ def test_the_least_misfit_is_that_of_a_parabola() -> None:
     at = np.array([-1.0, 0.0, 1.0])[:, None, None]
     for place, factor, expected in ((0.4, 40.0, 16 / 52), (1.7, 40.0, 1.0), (-0.4, 4.0, 0.0), (-0.6, 40.0, -24 / 52)):
         misfits = (factor * (at - place) ** 2).astype(np.float32)
-        np.testing.assert_allclose(frame_outlines._least(misfits, 3), 3.0 * expected, rtol=1e-4)
+        np.testing.assert_allclose(frame_outlines.least_misfit_px(misfits, 3), 3.0 * expected, rtol=1e-4)
     falling = np.array([20.0, 15.0, -60.0], dtype=np.float32)[:, None, None]
-    np.testing.assert_allclose(frame_outlines._least(falling, 2), 2.0)
+    np.testing.assert_allclose(frame_outlines.least_misfit_px(falling, 2), 2.0)
 
 
 def test_where_the_model_leaves_much_its_misfits_count_less(

@@ -38,7 +38,7 @@ def decoded() -> list[tuple[DecodedFrame, LayerOptics, NDArray[np.bool_]]]:
         assert decoder is not None
         prepared = decoder.prepare(frame)
         assert not isinstance(prepared, str)
-        found = decoder.complete(prepared, decoder.match(prepared))
+        found = decoder.complete(decoder.match(prepared))
         assert frame.truth is not None
         if len(found.regions.depths) != 2:
             continue

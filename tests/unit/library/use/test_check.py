@@ -9,6 +9,7 @@ import pytest
 
 from metafab import library
 from metafab.cell import CellNumerics, CellResponse, PillarCell
+from metafab.core.errors import InputError
 from metafab.library import Library
 from tests import library_ridges as ridges
 
@@ -89,3 +90,8 @@ def test_a_bound_that_excludes_nothing_is_no_check(stored: Library) -> None:
     assert library.check(all_loose, against="meep", samples=9, solver=_Biased(0.004, 5e-3)).verdict == "no check"
     # What is off by more than even such a bound fails.
     assert library.check(all_loose, against="meep", samples=9, solver=_Biased(1.5, 5e-3)).verdict == "fails"
+
+
+def test_a_check_needs_a_sample(stored: Library) -> None:
+    with pytest.raises(InputError, match="`samples`: expected 1 or more, got 0"):
+        library.check(stored, samples=0)

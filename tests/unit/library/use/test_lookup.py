@@ -97,6 +97,13 @@ def test_inexact_sizes_are_refused(smooth_library: Library) -> None:
         build_size_table(smooth_library, database_unit_nm=4.0, cells=16)
 
 
+@pytest.mark.parametrize("unit_nm", [0.0, -0.5, float("nan")])
+def test_a_unit_is_a_length(smooth_library: Library, unit_nm: float) -> None:
+    """-0.5 nm gave a table of negative sizes."""
+    with pytest.raises(InputError, match=r"`mask\.database_unit_nm`: expected a length above 0"):
+        build_size_table(smooth_library, database_unit_nm=unit_nm, cells=16)
+
+
 def test_rules_that_leave_nothing_are_refused(smooth_library: Library) -> None:
     with pytest.raises(InputError, match="relax the rules"):
         build_size_table(smooth_library, database_unit_nm=0.5, max_width_nm=90.0)

@@ -37,6 +37,14 @@ def test_a_cut_image_is_told_once() -> None:
     assert "lies on the edge of the window, which holds 1 % of" in warning
 
 
+def test_a_key_that_a_splitting_lens_refuses_is_offered_to_the_others_alone() -> None:
+    """`metafab psf --centre-um` serves every design."""
+    elsewhere = replace(figures(0.5), light_at_um=((1.0, 2.0), (3.0, 4.0)))
+    for found in (elsewhere, figures(0.009, peak_on_edge=True)):
+        (warning,) = found.warnings()
+        assert "`metafab psf --centre-um X Y` or, in a design without scene and `split_lens`" in warning
+
+
 @pytest.mark.parametrize(("made_error", "is_told"), [(None, False), (0.05, False), (0.357, True)])
 def test_made_pillars_of_hardly_known_light_are_told(made_error: float | None, is_told: bool) -> None:
     warnings = replace(figures(0.5), made_error=made_error).warnings()

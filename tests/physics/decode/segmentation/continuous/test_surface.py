@@ -13,7 +13,7 @@ from tests.steep_ground import errors, matched, photographed
 def test_a_steep_ground_and_an_object_before_it_have_their_depths() -> None:
     decoder, frame = photographed()
     prepared, volume, pixels = matched(decoder, frame)
-    in_place = decoder.volume_in_place(prepared)
+    in_place = decoder.match(prepared).volume_in_place
     assert in_place() is in_place() and in_place().shape == volume.shape  # computed once
     of_windows = errors(decoder, frame, np.where(pixels.claimed, 1.0 / pixels.vergence_per_m, np.nan))
     # One depth for a window leans on a slope: measured 1.3 against 0.65 %, 0.31 % in the median. The disc's rim of

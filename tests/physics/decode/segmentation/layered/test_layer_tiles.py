@@ -51,4 +51,4 @@ def test_tiles_take_the_memory_that_is_estimated(monkeypatch: pytest.MonkeyPatch
     decode(frame, pair)
     assert pixels and pixels[0] > 30 * 7200
     # 94 to 130 bytes were measured; other threads and other scenes take some more or less.
-    assert 0.6 < peaks[-1] / (pixels[0] * layer_tiles._BYTES_A_PIXEL) < 1.15
+    assert 0.6 < peaks[-1] / (pixels[0] * layer_tiles.BYTES_A_PIXEL) < 1.15

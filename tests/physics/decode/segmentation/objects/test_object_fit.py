@@ -9,8 +9,8 @@ import pytest
 
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
-from metafab.decode.segmentation.objects import object_fit
 from metafab.decode.segmentation.objects.object_fit import FittedObject, fitted_objects
+from metafab.decode.segmentation.objects.object_solver import LinearModel
 from metafab.decode.segmentation.objects.object_window import ObjectStart
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
@@ -42,8 +42,8 @@ def fitted(seed: int, contrast: float, start_ratio: float) -> tuple[FittedObject
 
 @pytest.mark.parametrize("contrast", [0.5, 2.0])
 def test_the_depth_is_right_from_a_rough_start(contrast: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    solved, rounds = object_fit._Linear.solved, []
-    monkeypatch.setattr(object_fit._Linear, "solved", lambda *given: rounds.append(1) or solved(*given))
+    solved, rounds = LinearModel.solved, []
+    monkeypatch.setattr(LinearModel, "solved", lambda *given: rounds.append(1) or solved(*given))
     near, half = fitted(4, contrast, 1.06)
     assert len(rounds) <= 10  # 24, and unsettled, with steps that undo each other at a contrast of 2
     far, _ = fitted(4, contrast, 0.94)

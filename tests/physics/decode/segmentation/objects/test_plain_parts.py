@@ -43,7 +43,7 @@ def about_thing(frame: RawFrame, psf: Psf) -> tuple[NDArray[np.bool_], CostVolum
     here, truth = both
     mask, step = np.zeros(decoder.calibration.grid.shape, dtype=bool), decoder.filters.downsampling.step
     mask[here] = truth.label == 2
-    return distance(mask[::step, ::step]) * step <= 8.0, decoder.match(prepared), step
+    return distance(mask[::step, ::step]) * step <= 8.0, decoder.match(prepared).volume, step
 
 
 def test_the_rim_of_a_plain_part_tells_a_part_of_the_wall_from_an_object_before_it() -> None:

@@ -30,7 +30,7 @@ def test_one_surface_is_not_modelled() -> None:
     assert decoder is not None
     prepared = decoder.prepare(frame)
     assert not isinstance(prepared, str)
-    volume = decoder.match(prepared)
+    volume = decoder.match(prepared).volume
     regions = find_regions(prepared, volume, textured_pixel_depth(prepared, volume))
     assert len(regions.depths) == 1
     assert FrameModel(prepared, regions, decoder.layer_optics).owners() is None
@@ -45,9 +45,9 @@ def test_the_texture_of_a_corner_is_not_that_of_its_layer() -> None:
     model = cast(TileLayers, None)
     group = TileGroup([0], np.array([0, 1]), model, energy, labelled)
     vars(group)["alone"] = alone
-    assert frame_model._typical_energy([group], [energy], 3).tolist() == [1.0, 1.0, 1.0]
+    assert frame_model.typical_energy([group], [energy], 3).tolist() == [1.0, 1.0, 1.0]
     energy[1, :6] = 2.0  # three quarters of its pixels away from outlines
-    assert frame_model._typical_energy([group], [energy], 3).tolist() == [1.0, 2.0, 1.0]
+    assert frame_model.typical_energy([group], [energy], 3).tolist() == [1.0, 2.0, 1.0]
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def wall_and_object() -> FrameModel:
     assert decoder is not None
     prepared = decoder.prepare(frame)
     assert not isinstance(prepared, str)
-    volume = decoder.match(prepared)
+    volume = decoder.match(prepared).volume
     regions = find_regions(prepared, volume, textured_pixel_depth(prepared, volume), optics=decoder.layer_optics)
     assert len(regions.depths) == 2
     return FrameModel(prepared, regions, decoder.layer_optics)

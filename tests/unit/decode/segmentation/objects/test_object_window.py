@@ -10,7 +10,7 @@ import pytest
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
 from metafab.decode.segmentation.layered.layer_light import LayerOptics, at_depth
-from metafab.decode.segmentation.objects import object_fit
+from metafab.decode.segmentation.objects.object_scene import DepthOptics, WindowScene
 from metafab.decode.segmentation.objects.object_window import ObjectStart, ObjectWindow, blurred
 from metafab.decode.segmentation.prepared_frame import PreparedFrame
 from metafab.optics.point_spread import Psf
@@ -67,7 +67,7 @@ def test_the_adjoint_is_that_of_the_images(psf: Psf) -> None:
     window = window_of(*prepared_wall(psf, 0.25))
     n = window.side
     unknowns = np.array([[-np.log(OBJECT_M), n / 2, n / 2, 3.0, 3.0, 1.0, 1.1, 0.9, 1.2]])
-    scene = object_fit._Scene.of(window, object_fit._Depth.of(window, unknowns[:, 0]), unknowns)
+    scene = WindowScene.of(window, DepthOptics.of(window, unknowns[:, 0]), unknowns)
     textures, images = np.random.default_rng(1).normal(size=(2, 1, 2, n, n)).astype(np.float32)
     there = float((scene.textured(window.spectra(textures)) * images).sum(dtype=np.float64))
     back = float((window.pictures(scene.adjoint(images)) * textures).sum(dtype=np.float64))

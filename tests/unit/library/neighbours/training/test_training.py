@@ -122,7 +122,7 @@ def test_a_stopped_training_keeps_its_fits(
 ) -> None:
     checkpoint = solved_rows
     begun: list[int] = []
-    start, finish = growth._start, growth._finish
+    start, finish = growth.start_of, growth.finish_of
 
     def counted(task: object) -> LineModel:
         begun.append(1)
@@ -135,8 +135,8 @@ def test_a_stopped_training_keeps_its_fits(
         return finish(task)  # type: ignore[arg-type]
 
     stops: list[int] = []
-    monkeypatch.setattr(growth, "_start", counted)
-    monkeypatch.setattr(growth, "_finish", stopped)
+    monkeypatch.setattr(growth, "start_of", counted)
+    monkeypatch.setattr(growth, "finish_of", stopped)
     with pytest.raises(KeyboardInterrupt):
         training.train(asked, checkpoint=checkpoint)
     assert len(begun) == 2
@@ -148,12 +148,12 @@ def test_a_stopped_training_keeps_its_fits(
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(growth, "_start", none_left)
+        patch.setattr(growth, "start_of", none_left)
         patch.setattr(growth, "_refit", unfitted)
         with pytest.raises(KeyboardInterrupt):
             training.train(asked, checkpoint=checkpoint)
-    monkeypatch.setattr(growth, "_start", none_left)
-    monkeypatch.setattr(growth, "_finish", none_left)
+    monkeypatch.setattr(growth, "start_of", none_left)
+    monkeypatch.setattr(growth, "finish_of", none_left)
     model = training.train(asked, checkpoint=checkpoint)
     assert trained.neighbours is not None
     for one, other in zip(model.lines, trained.neighbours.lines, strict=True):
@@ -207,7 +207,7 @@ def test_more_modes_come_in_a_stage_of_their_own(trained: Library, asked: Librar
 @pytest.mark.usefixtures("coarse")
 def test_rows_are_chosen_by_their_gain(trained: Library) -> None:
     """Numbers beyond the solved rows: those of random sizes whose field moves most with errors of the matrices."""
-    sampler, model = training._samplers(trained)[0], require_neighbours(trained).along[0].model
+    sampler, model = training.row_samplers(trained)[0], require_neighbours(trained).along[0].model
     chosen = growth.Plan(sampler, dict.fromkeys(range(60), ()), [], [], 0).unsure(model)
     random = [number for number in range(60, 300) if number % 2 == 0]
     size_nm = np.stack([sampler.pillars(number) for number in random])

@@ -10,7 +10,9 @@ import pytest
 
 from metafab.camera import capture
 from metafab.decode.decoder import Decoder
-from metafab.decode.segmentation.objects import object_fit, object_window
+from metafab.decode.segmentation.objects import object_window
+from metafab.decode.segmentation.objects.object_scene import DepthOptics, WindowScene
+from metafab.decode.segmentation.objects.object_solver import determinant_slopes
 from metafab.spec import Scene, SceneObject
 from tests.conjugate_pair import helix_psf
 
@@ -24,7 +26,6 @@ def test_slopes_of_the_determinant_are_those_of_the_dense_matrix(monkeypatch: py
     assert decoder is not None
     prepared = decoder.prepare(replace(frame, truth=None))
     assert not isinstance(prepared, str)
-    monkeypatch.setattr(object_fit, "_DRAWS", 40)
     for name, value in (("_SIDE", 8), ("_RIM", 1), ("_ROOM", 2)):
         monkeypatch.setattr(object_window, name, value)
     middle = prepared.downsampling.shape[0] // 2, prepared.downsampling.shape[1] // 2
@@ -34,7 +35,7 @@ def test_slopes_of_the_determinant_are_those_of_the_dense_matrix(monkeypatch: py
     unknowns = np.array([[-math.log(0.0029), n / 2, n / 2, 3.0, 3.0, 1.0, 1.0, 1.0, 1.0]])
 
     def half_determinant(log_vergence: float) -> float:
-        scene = object_fit._Scene.of(window, object_fit._Depth.of(window, np.array([log_vergence])), unknowns)
+        scene = WindowScene.of(window, DepthOptics.of(window, np.array([log_vergence])), unknowns)
         points = np.zeros((2 * n * n, 1, 2, n, n), dtype=np.float32)
         points.reshape(2 * n * n, -1)[np.arange(2 * n * n), np.arange(2 * n * n)] = 1.0
         images = window.weight * scene.textured(window.spectra(points))
@@ -44,9 +45,9 @@ def test_slopes_of_the_determinant_are_those_of_the_dense_matrix(monkeypatch: py
     step = 0.01
     # Measured: 52.2, and 54.2 by a hundred draws.
     dense = (half_determinant(unknowns[0, 0] + step) - half_determinant(unknowns[0, 0] - step)) / (2.0 * step)
-    drawn = object_fit._determinant_slopes(window, unknowns)[0, 0]
+    drawn = determinant_slopes(window, unknowns, 40)[0, 0]
     assert drawn == pytest.approx(dense, rel=0.15)
     # A fit does not depend on those that are computed with it.
     beside = replace(start, middle=(middle[0] + 1, middle[1]))
     both = object_window.ObjectWindow.of(prepared, decoder.layer_optics, [beside, start])
-    assert object_fit._determinant_slopes(both, np.vstack([unknowns, unknowns]))[1, 0] == pytest.approx(drawn, rel=1e-6)
+    assert determinant_slopes(both, np.vstack([unknowns, unknowns]), 40)[1, 0] == pytest.approx(drawn, rel=1e-6)
