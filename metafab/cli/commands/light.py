@@ -150,7 +150,7 @@ def psf_command(
                 )
     if output is not None:
         optics.save_psf(job, pair, lens, output)
-    figures = optics.pair_figures(job, pair, light_at_um)
+    figures = optics.pair_figures(job, pair, light_at_um, lens)
     announce(figures.warnings())
     show(figures, json_, **neighbour_figures(job, pair), seconds=cost.seconds, file=output)
 

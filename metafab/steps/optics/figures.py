@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 _LEAST_HELD_PERCENT = 2.0
 #: Error of the amplitudes of made pillars above which there is a warning. Corners of silicon reach 0.06.
 _LARGEST_MADE_ERROR = 0.15
+#: Share of the aperture's sites without a pillar above which there is a warning: a design fills all of them.
+_MOST_EMPTY = 0.01
 #: Remedies of a window that does not hold the light. A design refuses the key where windows follow images of objects.
 _WIDEN = "Widen the window with `verify.window_px` (`metafab psf --window-px N`)"
 _MOVE = (
@@ -60,6 +62,8 @@ class PairFigures:
     made_error: float | None = optional()
     #: Sentence about a model of neighbours that gave the light and is not known to lower the error; None for others.
     neighbour_warning: str | None = optional()
+    #: Share of the sites of the design's aperture at which the file has no pillar; None without a file.
+    empty_share: float | None = optional()
 
     @classmethod
     def of(cls, psf: Psf, light_at_um: Places | None = None) -> PairFigures:
@@ -73,9 +77,18 @@ class PairFigures:
         return self.light_at_um is None and not self.peak_on_edge
 
     def warnings(self) -> list[str]:
-        """Return sentences on a window that misses the light or cuts it, on made pillars, and on neighbours."""
+        """Return sentences on sites without pillars, a window that misses the light, made pillars and neighbours."""
         neighbours = [] if self.neighbour_warning is None else [self.neighbour_warning]
-        return [*self._of_window(), *self._of_made_pillars(), *neighbours]
+        return [*self._of_empty_sites(), *self._of_window(), *self._of_made_pillars(), *neighbours]
+
+    def _of_empty_sites(self) -> list[str]:
+        """A sentence on a file that holds another lens than the design's, or a part of it."""
+        if self.empty_share is None or not self.empty_share > _MOST_EMPTY:
+            return []
+        return [
+            f"{100.0 * self.empty_share:.3g} % of the sites in the design's aperture have no pillar in this file, and "
+            "count as dark. Is it the mask of this design? `metafab drc` lists the sites"
+        ]
 
     def _of_made_pillars(self) -> list[str]:
         """A sentence on made pillars whose light is hardly known."""

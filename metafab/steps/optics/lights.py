@@ -64,7 +64,7 @@ def _at_light(job: Job, light: Light) -> LightFigures:
     return LightFigures(
         wavelength_nm=light.wavelength_nm,
         file=_light_path(job, light).name,
-        pair=pair_figures(alone, written, light_at_um),
+        pair=pair_figures(alone, written, light_at_um, lens),
         ideal_efficiency_x=tuple(ideal.efficiency[0].tolist()),
         ideal_efficiency_y=tuple(ideal.efficiency[1].tolist()),
         focus=focus_figures(alone, Imaging.of(alone.design), mask_path) if is_focus else None,

@@ -26,6 +26,7 @@ from metafab.steps.library import library_path, neighbour_warning, open_library
 from metafab.steps.optics.figures import PairFigures, PsfFigures
 from metafab.steps.optics.sources import (
     WrittenLens,
+    empty_share,
     ideal_source,
     joint_error,
     light_over_field,
@@ -193,9 +194,15 @@ def _verified_psf(job: Job) -> Callable[..., Psf]:
     return partial(optics.psf, imaging=optics.Imaging.of(job.design), numerics=numerics, work=job.work)
 
 
-def pair_figures(job: Job, pair: Psf, light_at_um: Places | None = None) -> PairFigures:
-    """Figures of all depths of a pair, with their warnings."""
-    return replace(PairFigures.of(pair, light_at_um), neighbour_warning=_neighbour_warning(job, pair))
+def pair_figures(
+    job: Job, pair: Psf, light_at_um: Places | None = None, lens: WrittenLens | None = None
+) -> PairFigures:
+    """Figures of all depths of a pair of ``lens``, with their warnings; without a lens nothing is said of its file."""
+    return replace(
+        PairFigures.of(pair, light_at_um),
+        neighbour_warning=_neighbour_warning(job, pair),
+        empty_share=None if lens is None else empty_share(job, lens),
+    )
 
 
 def _neighbour_warning(job: Job, pair: Psf) -> str | None:

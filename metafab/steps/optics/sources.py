@@ -215,6 +215,14 @@ def source_of(job: Job, lens: WrittenLens | None, *, tangents: Sequence[Tangent]
     return lit_source(job, pillars if is_on_axis else light_over_field(job, pillars, tangents)), math.nan
 
 
+def empty_share(job: Job, lens: WrittenLens) -> float:
+    """Share of the sites in the design's aperture at which a file has no pillar; below 0 if it has others besides."""
+    from metafab.layout import Aperture
+
+    pillars = mask_source(job, lens.path, lens.copy).pillars
+    return 1.0 - int(pillars.numbers().sum()) / Aperture.of(job.design).count
+
+
 def _measured_field(job: Job, path: Path, copy: int, sizes: Path) -> WrittenField:
     """Field of the pillars of a file with measured sizes."""
     from metafab.optics.sources.measured import with_measured_sizes

@@ -13,7 +13,7 @@ from metafab import library, mask
 from metafab.core.errors import InputError
 from metafab.core.figures import LineStatistics
 from metafab.core.parallel.work import Work
-from metafab.layout import lattice_of
+from metafab.layout import Aperture, lattice_of
 from metafab.layout.pillars import PillarMap
 from metafab.library.library import Library
 from metafab.library.neighbours.line import LineShape, initial_model
@@ -88,6 +88,24 @@ def test_light_by_a_model_that_does_not_pay_is_told(
         sentences = [text for text in pair_figures(job, pair).warnings() if "does not lower the error: 0.200" in text]
         assert len(sentences) == (told and asked)
         assert all("`optics.neighbours`" in sentence for sentence in sentences)
+
+
+@pytest.mark.parametrize(("rows", "told"), [(0, None), (40, "have no pillar in this file")])
+def test_sites_without_pillars_are_told(design: Design, tmp_path: Path, rows: int, told: str | None) -> None:
+    """The mask of a smaller lens passed for that of the design, with an efficiency of half a percent."""
+    lattice = lattice_of(design)
+    filled = Aperture.of(design).inside(0, 0, lattice.shape).astype(np.uint16)
+    filled[:rows] = 0
+    sizes = np.array([[0, 0], [300, 400]], dtype=np.int32)
+    mask.write(PillarMap.from_array(lattice, sizes, filled, design.numerics.tile_sites), tmp_path / "run", design)
+    lens, job = WrittenLens(tmp_path / "run" / "layout.oas"), Job(design, tmp_path)
+    pair, _ = point_spread(job, lens, depths_m=(0.4,), window_px=16, target_error=0.1)
+    figures = pair_figures(job, pair, lens=lens)
+    share = 1.0 - filled.sum() / Aperture.of(design).count
+    assert figures.empty_share == pytest.approx(share, abs=1e-12)
+    sentences = [text for text in figures.warnings() if "count as dark" in text]
+    assert len(sentences) == (told is not None)
+    assert all(f"{100.0 * share:.3g} % of the sites" in text for text in sentences)
 
 
 def test_a_missing_mask_says_so_before_any_library_is_built(small_design: Design, tmp_path: Path) -> None:
