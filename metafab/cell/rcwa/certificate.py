@@ -9,6 +9,8 @@ rule                  of                           bound
 claims                cells like measured pillars  least of several max(g floor, share(k) d(M, k) ...), with a margin
                                                    where pillars stand close;
                                                    d(M, k) of the rung k before, where that is above 0.05
+near field            cells like measured pillars  c(M) times the squared field of all other waves at the faces:
+                                                   truncations that agree by accident beside a resonance
 floor                 other cells                  g floor(M): truncations that agree by accident
 slow convergence      other cells                  a d(M, k), k the rung before: errors as large as the last change
 typical convergence   other cells                  c e_M / e_j d(M, j), j < k, e the typical error: a small last change
@@ -146,6 +148,13 @@ _CLAIMS: dict[Formulation, dict[int, tuple[Claim, ...]]] = {
         24: (Claim(2e-3, ((12, 1.5), (16, 1.5))),),
     },
 }
+#: Cosines along each axis -> least error of the measured kind over the near field
+#: (:attr:`metafab.cell.rcwa.jones.ZeroOrder.near_field`). A truncation errs by a small change of the layer, and t turns
+#: with it as the product of the fields lit from either side, which a resonance raises alike. On 28 random pillars of
+#: index 3.5 with a near field of 4 to 28, whose claims of 6 cosines were broken by up to 4.8 times, the error over the
+#: near field was 7e-5 in the median and up to 1.1e-4 at 6 cosines where a difference was small by accident; up to
+#: 4.9e-5 at 7, 1.4e-5 at 9 and 5.5e-6 at 10. The factors have a margin of 1.2 to 1.3. Claims of other truncations held.
+_OF_NEAR_FIELD: dict[Formulation, dict[int, float]] = {"adaptive": {6: 1.3e-4, 7: 6.5e-5, 9: 1.8e-5, 10: 7e-6}, "fourier": {}}
 #: Last difference above which a ladder of the measured kind has not begun to converge.
 _NOT_CONVERGING = 5e-2
 #: Cosines of the measured kind whose neighbours agree better than they err, and their least error for each radian that
@@ -221,7 +230,7 @@ def solve(
             known[orders, cut.steps] = smooth(cell, orders, numerics.formulation, cut.steps, keep=numerics.slopes)
         last = known[orders, cut.steps]
         earlier = {count: distance(last, coarser) for count, coarser in solved.items()}
-        error = bound(orders, earlier, rate, numerics.formulation) + cut.error
+        error = bound(orders, earlier, rate, numerics.formulation, last.near_field) + cut.error
         error = max(error, last.conditioning.rounding)
         known[orders, cut.steps] = solved[orders] = replace(last, kept=())
         if error <= numerics.target_error:
@@ -279,7 +288,13 @@ def ladder(numerics: CellNumerics, rate: Convergence) -> tuple[int, ...]:
     return below or _LADDERS[numerics.formulation][-1][1][:1]
 
 
-def bound(orders: int, earlier: dict[int, float], rate: Convergence, formulation: Formulation = "adaptive") -> float:
+def bound(
+    orders: int,
+    earlier: dict[int, float],
+    rate: Convergence,
+    formulation: Formulation = "adaptive",
+    near_field: float = 0.0,
+) -> float:
     """Bound on the error of amplitudes of a truncation; infinite where the earlier ones do not suffice.
 
     Args:
@@ -287,6 +302,7 @@ def bound(orders: int, earlier: dict[int, float], rate: Convergence, formulation
         earlier: earlier truncation -> largest difference of any amplitude.
         rate: rate of convergence of the cell.
         formulation: "adaptive" or "fourier".
+        near_field: :attr:`metafab.cell.rcwa.jones.ZeroOrder.near_field` of the truncation.
     """
     rung, growth = _RUNGS[formulation][orders], rate.floor_growth
     if rate.is_measured:
@@ -299,7 +315,8 @@ def bound(orders: int, earlier: dict[int, float], rate: Convergence, formulation
         if bounds and earlier[max(earlier)] > _NOT_CONVERGING:
             bounds = [earlier[max(earlier)]]
         of_a_rad = _LEAST_OF_A_RAD if orders in _SLOW_RUNGS else 0.0
-        least = rate.claims_margin * min(bounds, default=math.inf)
+        claimed = max(min(bounds, default=math.inf), _OF_NEAR_FIELD[formulation].get(orders, 0.0) * near_field)
+        least = rate.claims_margin * claimed
     else:
         suffice = len(earlier) > 1 or (len(earlier) == 1 and orders >= _LONE_FROM)
         least = max(growth * rung.floor, implied_bound(orders, earlier, rate, formulation)) if suffice else math.inf
