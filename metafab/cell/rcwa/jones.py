@@ -49,12 +49,13 @@ class SolvedClass:
     lit: LitLayer | None  #: Fields lit from either side, with the steps of the doubling; None where they were not kept.
 
     def near_field(self) -> float:
-        """Squared transverse E of all waves but the zero order's at the two faces, over that of the incident light.
+        """Squared E and H of all waves but the zero order's at the two faces, over the squared incident E.
 
-        It is of one polarisation under light along z, where a class holds one: 0.4 and 1.5 in the median of silicon
-        pillars on glass and on sapphire, 50 beside a guided-mode resonance.
+        Transverse fields, H in units of E over the impedance of vacuum. It is of one polarisation under light along z,
+        where a class holds one.
         """
-        fields = self.faces.transmitted, self.faces.reflected
+        sides = (self.outgoing, self.faces.transmitted), (self.incoming, self.faces.reflected)
+        fields = [field for waves, e in sides for field in (e, magnetic(waves, e))]
         return sum(_squared(each) - _squared(self.case.incident.T @ each) for each in fields)
 
     def shares_of_power(self) -> tuple[FloatArray, FloatArray]:
