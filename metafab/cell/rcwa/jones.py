@@ -33,6 +33,8 @@ class ZeroOrder:
     coefficients: int  #: Unknowns of the largest symmetry class.
     inconsistency: float  #: Violation of reciprocity by rounding, as an amplitude; 0 where modes were used.
     conditioning: Conditioning  #: Conditioning of the worst layer's modes; 0 where none were used.
+    #: Largest :meth:`SolvedClass.near_field` of the classes; 0 where the solver does not compute it.
+    near_field: float = 0.0
     kept: tuple[SolvedClass, ...] = ()  #: The symmetry classes that were solved, if they were kept.
 
 
@@ -45,6 +47,16 @@ class SolvedClass:
     outgoing: Waves  #: Waves of the half space behind.
     faces: FaceFields  #: Transmitted and reflected field of incident E_x = 1 and E_y = 1.
     lit: LitLayer | None  #: Fields lit from either side, with the steps of the doubling; None where they were not kept.
+
+    def near_field(self) -> float:
+        """Squared E and H of all waves but the zero order's at the two faces, over the squared incident E.
+
+        Transverse fields, H in units of E over the impedance of vacuum. It is of one polarisation under light along z,
+        where a class holds one.
+        """
+        sides = (self.outgoing, self.faces.transmitted), (self.incoming, self.faces.reflected)
+        fields = [field for waves, e in sides for field in (e, magnetic(waves, e))]
+        return sum(_squared(each) - _squared(self.case.incident.T @ each) for each in fields)
 
     def shares_of_power(self) -> tuple[FloatArray, FloatArray]:
         """Transmitted and reflected power of each coefficient over the incident power, 0 where no light comes in.
@@ -90,7 +102,7 @@ def zero_order(
     """
     t, r = np.zeros((2, 2), dtype=np.complex128), np.zeros((2, 2), dtype=np.complex128)
     power, kept = np.zeros((2, 2)), []
-    largest, inconsistency, worst = 0, 0.0, NO_MODES
+    largest, inconsistency, worst, near_field = 0, 0.0, NO_MODES, 0.0
     with one_blas_thread():
         for solved in solved_classes(cell, orders, formulation, steps, by_modes=by_modes, keep=keep):
             kept += [solved] if keep else []
@@ -99,10 +111,11 @@ def zero_order(
             power = power + np.stack([np.sum(each, axis=0) for each in solved.shares_of_power()])
             largest = max(largest, solved.case.basis.size)
             inconsistency, worst = max(inconsistency, faces.inconsistency), worst.worse(faces.conditioning)
+            near_field = max(near_field, solved.near_field())
             if polarisations_swap(cell):
                 t, r, power = t + t[::-1, ::-1], r + r[::-1, ::-1], power + power[:, ::-1]
                 break
-    return ZeroOrder(t, r, power[0], power[1], largest, inconsistency, worst, tuple(kept))
+    return ZeroOrder(t, r, power[0], power[1], largest, inconsistency, worst, near_field, tuple(kept))
 
 
 def solved_classes(
@@ -138,6 +151,10 @@ def _solve(
         if lit is not None:
             return lit.faces, lit if keep else None
     return match_modes(layer_modes(*case.matrices()), case.thickness_k0(), incoming, outgoing, case.incident), None
+
+
+def _squared(field: ComplexArray) -> float:
+    return float(np.vdot(field, field).real)
 
 
 def _largest_eigenvalue(layer: Slice) -> float:

@@ -68,6 +68,24 @@ def test_a_short_period_gets_as_many_cosines_as_a_long_one() -> None:
     assert response.resolution == (2 * int(response.details.orders_x) + 1) ** 2
 
 
+def test_the_near_field_is_that_of_all_waves_but_the_zero_order() -> None:
+    """Nothing in a uniform layer, the same for both orientations and at every truncation, large beside a resonance."""
+    assert zero_order(replace(SILICON, width_nm=0.0, length_nm=0.0), 4).near_field == pytest.approx(0.0, abs=ROUNDING)
+    turned = replace(SILICON, width_nm=SILICON.length_nm, length_nm=SILICON.width_nm)
+    assert zero_order(turned, 4).near_field == pytest.approx(zero_order(SILICON, 4).near_field, rel=ROUNDING)
+    resonant = replace(
+        LOSSLESS, period_nm=(400.0, 400.0), width_nm=225.6, length_nm=201.96, height_nm=500.0, n_pillar=3.5,
+        n_substrate=(1.46, 1.46), wavelength_nm=850.0,
+    )  # fmt: skip
+    coarse, fine, aside = (
+        zero_order(cell, orders).near_field
+        for cell, orders in ((resonant, 6), (resonant, 12), (replace(resonant, wavelength_nm=950.0), 6))
+    )
+    # At six cosines the resonance lies 0.1 of its width from its place.
+    assert fine == pytest.approx(coarse, rel=0.1)
+    assert coarse > 50.0 * aside
+
+
 @pytest.mark.parametrize("azimuth_deg", [0.0, 90.0, 33.0])
 def test_oblique_classes_continue_normal_incidence(azimuth_deg: float) -> None:
     # t changes at most linearly with the angle: 1e-6 degrees is 2e-8 of k0, with a slope of order ten.

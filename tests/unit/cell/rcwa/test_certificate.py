@@ -9,7 +9,7 @@ import pytest
 
 from metafab.cell import CellNumerics, PillarCell
 from metafab.cell.pillar import Slice
-from metafab.cell.rcwa.certificate import ladder
+from metafab.cell.rcwa.certificate import bound, ladder
 from metafab.cell.rcwa.convergence import convergence
 from tests.paper_cell import SILICON
 
@@ -37,6 +37,18 @@ def test_seven_cosines_are_tried_where_pillars_stand_close() -> None:
     assert close.is_measured and close.claims_margin == pytest.approx(1.0 + 16.0 * (250.0 / 350.0 - 0.63))
     for target_error in (1e-2, 1e-3):
         assert ladder(CellNumerics(target_error=target_error), close)[:4] == (4, 6, 7, 8)
+
+
+def test_a_strong_near_field_raises_the_bound_of_measured_cells_alone() -> None:
+    measured, other = convergence(SILICON), convergence(replace(SILICON, angle_deg=10.0))
+    close = convergence(replace(SILICON, width_nm=250.0))
+    claimed, raised = (bound(6, {4: 1e-4}, measured, near_field=each) for each in (1.0, 20.0))
+    assert claimed == bound(6, {4: 1e-4}, measured) == 3e-4
+    # The margin of close pillars is one of the claims: their near field tells as much as that of others.
+    assert raised == bound(6, {4: 1e-4}, close, near_field=20.0) == pytest.approx(2.4e-3)
+    # Eight cosines have a claim that no resonance broke, and other cells rules of their own.
+    assert bound(8, {6: 1e-4}, measured, near_field=20.0) == bound(8, {6: 1e-4}, measured)
+    assert bound(6, {5: 1e-4, 4: 1e-4}, other, near_field=20.0) == bound(6, {5: 1e-4, 4: 1e-4}, other)
 
 
 def test_waves_in_a_dense_cap_must_be_resolved() -> None:
