@@ -155,7 +155,7 @@ _CLAIMS: dict[Formulation, dict[int, tuple[Claim, ...]]] = {
 #: of 24 resonant pillars of index 3.5 all but one stayed below 2.5e-5 at 7 cosines, 7.7e-6 at 9 and 3.6e-6 at 10, and
 #: at 12 and 14 below 1.3e-6 where the near field is above 10. The factors are 1.2 to 1.4 times these. No resonance
 #: broke the claims of 5 and of 8 cosines.
-_OF_NEAR_FIELD: dict[Formulation, dict[int, float]] = {
+OF_NEAR_FIELD: dict[Formulation, dict[int, float]] = {
     "adaptive": {6: 1.2e-4, 7: 3.5e-5, 9: 1e-5, 10: 4.5e-6, 12: 1.6e-6, 14: 1.6e-6},
     "fourier": {},
 }
@@ -319,7 +319,7 @@ def bound(
         if bounds and earlier[max(earlier)] > _NOT_CONVERGING:
             bounds = [earlier[max(earlier)]]
         of_a_rad = _LEAST_OF_A_RAD if orders in _SLOW_RUNGS else 0.0
-        of_near_field = _OF_NEAR_FIELD[formulation].get(orders, 0.0) * near_field
+        of_near_field = OF_NEAR_FIELD[formulation].get(orders, 0.0) * near_field
         least = max(rate.claims_margin * min(bounds, default=math.inf), of_near_field)
     else:
         suffice = len(earlier) > 1 or (len(earlier) == 1 and orders >= _LONE_FROM)

@@ -456,7 +456,7 @@ def test_bound_holds_beside_resonances(name: str, monkeypatch: pytest.MonkeyPatc
     response, reference = _certified(cell, target_error), zero_order(cell, 16)
     assert 1.2 * distance(response, reference) <= response.error
     # Without the rule of the near field the claims are broken: it is this rule that mends them.
-    monkeypatch.setitem(certificate._OF_NEAR_FIELD, "adaptive", {})
+    monkeypatch.setitem(certificate.OF_NEAR_FIELD, "adaptive", {})
     response = _certified(cell, target_error)
     assert distance(response, reference) / response.error == pytest.approx(by_claims, abs=0.02)
 
