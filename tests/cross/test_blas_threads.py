@@ -17,7 +17,7 @@ from metafab.library.surface import Surface
 from metafab.phase.build import profile_of
 from metafab.phase.studies.study import study
 from metafab.run import run
-from metafab.spec import load_design
+from metafab.spec import Design, load_design
 from metafab.steps.preflight import PREFLIGHT
 
 
@@ -36,13 +36,20 @@ class _Probe:
         raise _ReachedError
 
 
+def _with_term(probe: _Probe) -> Design:
+    """A design whose phase term notes the threads: others than a design are refused before."""
+    design = load_design(LAYOUTS / "helix_small.toml")
+    object.__setattr__(design, "phase", (probe,))
+    return design
+
+
 LAYOUTS = Path(__file__).parents[2] / "layouts"
 _AXIS = np.linspace(100.0, 110.0, 6)
 _CALLS: dict[str, Callable[[Any], Any]] = {
     "decoder": lambda probe: Decoder.of(probe, (1, 1), (0.0, 0.0)),
     "photograph": lambda probe: Lens(probe, (probe, probe)).light(probe, probe),
     "surface of a library": lambda probe: Surface.of_model(_AXIS, _AXIS, probe, np.zeros((6, 6)), 1e-3),
-    "target phases": profile_of,
+    "target phases": lambda probe: profile_of(_with_term(probe)),
     "study of the phases": lambda probe: study(probe, probe),
 }
 
